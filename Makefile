@@ -5,7 +5,7 @@
 # make notebooks, make pictures   run them again and store what they show
 # make docs    the documentation site, into site/, strictly: a broken link or page is an error
 # make claims  measure the results that README and docs show (hours)
-# make results write the tables of README and docs from the stored results
+# make results write the tables of README from the stored results; the site takes its own when it is built
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -26,6 +26,8 @@ $(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/installed-test: $(VENV)/installed
 	$(PIP) --editable '.[test]'
+	# For comparisons. Both ask for opencv-python, which would overwrite opencv-python-headless; all else is there.
+	$(PIP) --no-deps trackers trackeval
 	@touch $@
 
 demo: $(VENV)/installed
@@ -67,7 +69,7 @@ docs: $(VENV)/installed-test
 pictures: $(VENV)/installed
 	$(BIN)/python docs/pictures.py
 
-# Hours: the experiments at full size, stored in docs/results/data and written into the pages.
+# Hours: the experiments at full size, stored in docs/results/data, which the site shows.
 claims: $(VENV)/installed-test
 	$(BIN)/python docs/hooks/results.py --measure
 

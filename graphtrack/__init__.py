@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from graphtrack.io.formats.pedpy import from_pedpy, to_pedpy
     from graphtrack.io.libraries import to_geopandas
     from graphtrack.io.options import ReadOptions
+    from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.report.page import write_report
@@ -90,6 +91,8 @@ __all__ = [
     "to_geopandas",
     "to_movement",
     "to_pedpy",
+    "to_polars",
+    "to_supervision",
     "track_online",
     "view",
     "warm_up",
@@ -112,6 +115,7 @@ _HOMES = {
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
     "io.options": "ReadOptions",
+    "io.outputs": "to_polars to_supervision",
     "io.read_write": "write",
     "io.formats.movement": "from_movement to_movement",
     "io.formats.pedpy": "from_pedpy to_pedpy",

@@ -26,10 +26,9 @@ from graphtrack.geometry.angles import (
     von_mises_log_density,
     wrap,
 )
-from graphtrack.model.observation import observed_angle
 from graphtrack.model.parameters import Parameters, range_of
 from graphtrack.packages import special
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet, observed_angle
 
 if TYPE_CHECKING:
     from graphtrack.model import Model

@@ -35,6 +35,22 @@ class InputError(GraphtrackError):
         self.line, self.column = line, column
         super().__init__(str(self))
 
+    def at(
+        self,
+        path: str | Path | None = None,
+        line: int | None = None,
+        column: str | int | None = None,
+        hint: str = "",
+    ) -> InputError:
+        """Return the error with the place in a file that is known here, and a hint to the expected form."""
+        return InputError(
+            self.found,
+            f"{self.expected}; {hint}" if hint else self.expected,
+            path=self.path if path is None else path,
+            line=self.line if line is None else line,
+            column=self.column if column is None else column,
+        )
+
     def __reduce__(self) -> tuple[object, ...]:
         parts = (self.found, self.expected, self.path, self.line, self.column)
         return _rebuild_input_error, (type(self), *parts)

@@ -25,19 +25,25 @@ from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.engines import OnlineEngine, engine_of
+from graphtrack.inference.engines import (
+    Failure,
+    OfflineEngine,
+    OnlineEngine,
+    Solution,
+    SolverOptions,
+    engine_of,
+    make_all_ready,
+)
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.inference.state import Estimate, as_track
-from graphtrack.inference.warm import make_all_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
-from graphtrack.interaction.walls import model_with_walls, solve_inside, with_observed_walls
+from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.faces_group import GROUP
-from graphtrack.model.terms.walls import without_walls
+from graphtrack.model.terms.conversation import GROUP
+from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
 from graphtrack.tracks.scene import GivenScene
@@ -111,7 +117,7 @@ def solve_tracks(
         return solve_inside(
             tracks,
             partial(plain, model=model, progress=progress, n_frames=n_frames),
-            partial(plain, model=model_with_walls(model)),
+            partial(plain, model=model.with_terms(StaysInside)),
             walkable,
         )
     each = partial(
@@ -222,6 +228,7 @@ class OnlineOptions(TypedDict, total=False):
     engine: OnlineEngine
     lag: float | None
     camera: GroundCamera | None
+    walkable: AreaLike | None
 
 
 class OnlineReading(ReadingBase, total=False):
@@ -235,7 +242,6 @@ class OnlineTracking(OnlineOptions, OnlineReading, total=False):
     """Keywords of `track_online`."""
 
     progress: Progress
-    walkable: AreaLike | None
 
 
 @overload
@@ -268,7 +274,7 @@ def track_online(
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
     progress : called with the numbers of person-frames that are done
-    walkable : as in `solve`; the walls of a frame are those near its observed position
+    walkable : as in `OnlineSmoother`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
     Raises
@@ -277,9 +283,8 @@ def track_online(
         For a file of detections without identities too: identities are associated from past and future by
         `associate`, and from the past alone by `OnlineTracker`.
     """
-    options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera}
-    if walkable is not None:
-        return _inside(tracks, model, walkable, reading, progress, options)
+    area = None if walkable is None else WalkableArea.of(walkable)
+    options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera, "walkable": area}
     if not isinstance(tracks, Track) or reading:
         scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
         options["camera"] = scene.camera if camera is None else camera
@@ -287,23 +292,6 @@ def track_online(
             return _in_step(scene, chosen, options, progress)
         return scene.map(lambda one: _by_itself(one, chosen, options, progress))
     return _by_itself(tracks, Model.named(model), options, progress)
-
-
-def _inside(
-    tracks: Given,
-    model: Model | str | Path | None,
-    walkable: AreaLike,
-    reading: OnlineReading,
-    progress: Progress,
-    options: OnlineOptions,
-) -> TrackSet | Track:
-    """Track with the walls of a walkable area."""
-    area = WalkableArea.of(walkable)
-    scene = tracks_of(tracks, identified=True, **reading)
-    walled = scene.map(lambda track: with_observed_walls(track, area))
-    chosen = model_with_walls(Model.named(model))
-    found = track_online(walled, chosen, progress=progress, **options).map(without_walls)
-    return found.tracks[0] if isinstance(tracks, Track) else found
 
 
 def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
@@ -373,7 +361,7 @@ class OnlineTracker(DetectionTracker):
     model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
     scene : known parameters of birth, death, detection and clutter: `SceneParameters`, or some by name. The
         rest are those of the model, else learned from the detections
-    walkable : as in `solve`
+    walkable : as in `OnlineSmoother`; `forecast` predicts no path that leaves it
 
     Attributes
     ----------
@@ -400,7 +388,6 @@ class OnlineTracker(DetectionTracker):
     ) -> None:
         chosen = Model.named(model)
         area = None if walkable is None else WalkableArea.of(walkable)
-        chosen = chosen if area is None else model_with_walls(chosen)
         self._conversations = Conversations(chosen) if chosen.has_groups else None
         super().__init__(
             chosen,
@@ -460,7 +447,7 @@ class OnlineTracker(DetectionTracker):
         if not self.updates:
             raise InputError("no frame", "an update before a forecast")
         if self._forecaster is None:
-            self._forecaster = Forecaster()
+            self._forecaster = Forecaster(walkable=self._walkable)
             for frame in self._frames:
                 self._forecaster.update(*frame)
             self._frames.clear()
@@ -487,7 +474,8 @@ class OnlineTracker(DetectionTracker):
                 found = Conversations.from_state(state[CONVERSATIONS], tracker.model)
                 tracker._conversations = tracker._groups = found
             if "forecaster" in state:
-                tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
+                saved = unpack_tree(state["forecaster"])
+                tracker._forecaster = Forecaster.from_state(saved, walkable=tracker._walkable)
                 tracker._present = list(map(integer, state["present"]))
         except DAMAGES as error:
             raise damaged(error) from error

@@ -18,7 +18,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.interaction.attention import attention
 from graphtrack.interaction.groups import groups
 from graphtrack.io.atomic import atomic_path, check_place
-from graphtrack.report.content import Card, Note, Picture, Section
+from graphtrack.report.content import Note, Picture, Section
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import Behaviour, behaviour_of
 from graphtrack.report.page import tracking_report
@@ -26,7 +26,8 @@ from graphtrack.report.plots.scene import plot_tracks
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
-from perception.drawing.people import ShownPerson, draw_tracked
+from perception.drawing.overlays import Interval
+from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import Clock, Frame, FrameSource
 from perception.images.pixels import pictures
 from perception.observe.tables import BOX
@@ -141,39 +142,33 @@ def check_folder(path: Path) -> None:
         check_place(path, directory=True)
 
 
-class ShownPeople(Mapping[int, list[ShownPerson]]):
+_TRAIL = 4.0  # seconds of a drawn path
+
+
+class ShownPeople(Mapping[int, list[DrawnPerson]]):
     """People to draw in each frame, created on access: only columns are kept in memory."""
 
     def __init__(self, tracks: Sequence[_Shown]) -> None:
         self._tracks = tracks
-        number, frame, row = [], [], []
+        shown = [np.zeros((3, 0), np.int64)]
         for k, one in enumerate(tracks):
             rows = np.flatnonzero(np.isfinite(one.place).all(axis=1))
-            number.append(np.full(len(rows), k))
-            frame.append(one.track.frame[rows])
-            row.append(rows)
-        frames: NDArray[np.int64] = np.concatenate([*frame, np.zeros(0, np.int64)])
-        order = np.argsort(frames, kind="stable")
-        self._frames, start = np.unique(frames[order], return_index=True)
-        self._start = np.append(start, len(frames))
-        self._number = np.concatenate([*number, np.zeros(0, np.int64)])[order]
-        self._row = np.concatenate([*row, np.zeros(0, np.int64)])[order]
+            shown.append(np.stack([one.track.frame[rows], np.full(len(rows), k), rows]))
+        every = np.concatenate(shown, axis=1)
+        self._frame, self._number, self._row = every[:, np.argsort(every[0], kind="stable")]
 
-    def __getitem__(self, frame: int) -> list[ShownPerson]:
-        k = int(np.searchsorted(self._frames, frame))
-        if k == len(self._frames) or self._frames[k] != frame:
-            raise KeyError(frame)
-        inside = slice(self._start[k], self._start[k + 1])
-        return [
-            self._tracks[number].person(row)
-            for number, row in zip(self._number[inside].tolist(), self._row[inside].tolist(), strict=True)
-        ]
+    def __getitem__(self, frame: int) -> list[DrawnPerson]:
+        inside = slice(*np.searchsorted(self._frame, (frame, frame + 1)).tolist())
+        people = zip(self._number[inside].tolist(), self._row[inside].tolist(), strict=True)
+        if found := [self._tracks[number].person(row) for number, row in people]:
+            return found
+        raise KeyError(frame)
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._frames.tolist())
+        return iter(np.unique(self._frame).tolist())
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(np.unique(self._frame))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,19 +182,20 @@ class _Shown:
     pixel: FloatArray  # (n, 2) of the feet
     first: NDArray[np.int64]  # (n,) first row of the drawn path, for each row
 
-    def person(self, row: int) -> ShownPerson:
+    def person(self, row: int) -> DrawnPerson:
         """Return the person in a row."""
-        body, body_std, head, head_std = self.angles[row].tolist()
-        return ShownPerson(
+        body, head = (
+            Interval(angle, std) if np.isfinite(angle) else None
+            for angle, std in self.angles[row].reshape(2, 2).tolist()
+        )
+        return DrawnPerson(
             self.track.track_id,
             self.place[row],
-            bool(self.visible[row]),
             self.track.position[row],
             body,
-            body_std,
             head,
-            head_std,
-            self.pixel[self.first[row] : row + 1],
+            visible=bool(self.visible[row]),
+            path=self.pixel[self.first[row] : row + 1],
         )
 
 
@@ -208,8 +204,6 @@ def shown_by_frame(
     observations: TrackSet,
     boxes: Sequence[PersonBox],
     camera: GroundCamera,
-    *,
-    trail: float = 4.0,
 ) -> ShownPeople:
     """People to draw in each frame.
 
@@ -217,20 +211,19 @@ def shown_by_frame(
     ----------
     estimates, observations : matched by ``track_id``; the latter from `numbered` or `associated`
     boxes : the observed boxes
-    trail : seconds of the path
     """
     observed = {track.track_id: track for track in observations}
     found = []
     for track in estimates:
         place, visible = _boxes_of(track, observed[track.track_id], boxes, camera)
         angles = np.column_stack([*_angle(track, "body"), *_angle(track, "head")])
-        first = np.searchsorted(track.t, track.t - trail)
+        first = np.searchsorted(track.t, track.t - _TRAIL)
         pixel = camera.ground_to_image(track.position)
         found.append(_Shown(track, place, visible, angles, pixel, first))
     return ShownPeople(found)
 
 
-def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
+def boxes_shown(people: Mapping[int, Sequence[DrawnPerson]]) -> PersonBoxes:
     """Return the boxes of the people of `shown_by_frame`."""
     shown = [(frame, person.track_id, person.box) for frame, some in people.items() for person in some]
     frame, number, box = zip(*shown, strict=True) if shown else ((), (), ())
@@ -273,7 +266,7 @@ _PHOTOS, _PHOTO_WIDTH, _QUALITY = 6, 1100, 85
 def write_video(
     path: Path,
     frames: Iterable[Frame],
-    people: Mapping[int, Sequence[ShownPerson]],
+    people: Mapping[int, Sequence[DrawnPerson]],
     camera: GroundCamera,
     clock: Clock,
 ) -> int:
@@ -283,7 +276,7 @@ def write_video(
         for frame in frames:
             if frame.image is not None:
                 words = f"frame {frame.number}  {clock.seconds(frame.number):.2f} s"
-                write(frame.number, draw_tracked(frame.image, words, people.get(frame.number, ()), camera))
+                write(frame.number, draw_people(frame.image, words, people.get(frame.number, ()), camera))
                 count += 1
     return count
 
@@ -302,7 +295,6 @@ def write_page(
     observations: TrackSet,
     video: Path,
     assumptions: Sequence[str],
-    cards: tuple[Card, ...] = (),
 ) -> None:
     """Write the page, with some frames of the annotated video in it."""
     photos = tuple(
@@ -314,7 +306,6 @@ def write_page(
         estimates,
         observations,
         title=title,
-        cards=cards,
         behaviour=what_they_do(estimates),
         sections=(
             Section("Frames", (words, *photos)),

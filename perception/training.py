@@ -38,7 +38,7 @@ from perception.synthetic import (
     make_pedestrians,
 )
 from perception.synthetic.people import random_appearance
-from perception.synthetic.skeletons import NetworkErrors, Skeletons, make_skeletons, perceived
+from perception.synthetic.skeletons import Skeletons, make_skeletons, perceived
 from perception.trackers.head_exemplars import HeadExemplars, combined
 from perception.trackers.tracker import PATCH_MARGIN, cut, equalised
 
@@ -81,12 +81,10 @@ def train_keypoints(
     return model
 
 
-def drawn(
-    count: int, rng: np.random.Generator, errors: NetworkErrors = NetworkErrors()
-) -> tuple[Skeletons, FloatArray]:
+def drawn(count: int, rng: np.random.Generator) -> tuple[Skeletons, FloatArray]:
     """Draw skeletons, and simulated output of a pose network (n, 9, 3)."""
     people = make_skeletons(count, rng)
-    return people, perceived(people.points, people.visibility, people.height, rng, errors)
+    return people, perceived(people.points, people.visibility, people.height, rng)
 
 
 def _fitted(values: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -> Layers:

@@ -105,16 +105,17 @@ def test_columns_that_are_none_are_named() -> None:
 
 
 @pytest.mark.parametrize("zone", [None, "Europe/Zurich"])
-def test_dates_and_times_become_seconds_and_a_note_says_so(zone) -> None:
+def test_dates_and_times_become_seconds_and_come_back(zone) -> None:
     begin = pd.Timestamp("2024-02-29 12:00:00.25", tz=zone)
     seconds = np.tile(np.arange(12) / 10, 3)
-    for t, first in (
-        (begin + pd.to_timedelta(seconds, unit="s"), begin.timestamp()),
-        (pd.to_timedelta(seconds, unit="s"), 0.0),
-    ):
-        found = TrackSet.from_table(TABLE.assign(t=t))
-        np.testing.assert_allclose(found.by_id(2).t, first + np.arange(12) / 10, atol=1e-6)
-        assert any("since 1970" in note for note in found.summary.notes)
+    dates, durations = begin + pd.to_timedelta(seconds, unit="s"), pd.to_timedelta(seconds, unit="s")
+    found = TrackSet.from_table(TABLE.assign(t=dates))
+    midnight = 12 * 3600.0 + 0.25 - (3600.0 if zone else 0.0)
+    np.testing.assert_allclose(found.by_id(2).t, midnight + np.arange(12) / 10, atol=1e-6)
+    assert list(found.to_table(as_read=True)["t"]) == list(dates)
+    found = TrackSet.from_table(TABLE.assign(t=durations))
+    np.testing.assert_allclose(found.by_id(2).t, np.arange(12) / 10, atol=1e-6)
+    assert any("durations are written as seconds" in note for note in found.summary.notes)
     assert "column x: found dates or times" in refused(
         TrackSet.from_table, TABLE.assign(x=pd.to_timedelta(seconds, unit="s"))
     )

@@ -14,7 +14,7 @@ from graphtrack.model import Model, Parameters, factors, presets
 from graphtrack.model.model import default_parameters
 from graphtrack.model.observation import chain
 from graphtrack.model.parameters import range_of
-from graphtrack.model.terms import head_follows_body, motion, pose, position, turning
+from graphtrack.model.terms import couplings, motion, orientation, position
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks.scene import SceneParameters
 
@@ -40,7 +40,7 @@ def rows(heading, text):
     return [
         [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))]
         for line in section.splitlines()
-        if line.startswith("| ") and not line.startswith("|---")
+        if line.startswith("|") and not line.startswith("|---")
     ][1:]
 
 
@@ -109,7 +109,7 @@ def test_native_factors_are_those_that_are_named():
     named = set(re.findall(r"native: `(\w+)`", DOCUMENT))
     # Robust noise models and mixtures aside, an ordinary track needs one derived factor: the coupling.
     assert made == named | {"CustomFactor"}
-    for module in (factors, head_follows_body, motion, turning, pose, position):
+    for module in (factors, couplings, motion, orientation, position):
         for name in re.findall(r"gtsam\.((?:Frobenius|Wnoa|Prior)\w+)", inspect.getsource(module)):
             assert name in named
 

@@ -60,6 +60,16 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
     )
 
 
+def test_reading_smoothing_tracking_and_scoring_need_no_package_for_pictures_or_learning(tmp_path):
+    code = "sys.modules.update(dict.fromkeys(('matplotlib', 'PIL', 'sklearn')))\n"  # importing them fails
+    code += "import graphtrack as gt, numpy as np\nfrom graphtrack.simulation.sampling import simulate\n"
+    code += "people = simulate('position', n_tracks=2, n_steps=12, rng=np.random.default_rng(0))\n"
+    code += "gt.write(people, sys.argv[1])\nread = gt.read(sys.argv[1])\n"
+    code += "for found in (gt.smooth(read, 'position'), gt.track_online(read, 'position')):\n"
+    code += "    gt.score(found, people), gt.score_states(found, people)\n"
+    modules_after(code, tmp_path / "people.csv")
+
+
 @pytest.mark.parametrize("module", ["json", "duckdb"])
 def test_a_command_ends_without_looking_for_garbage_where_nobody_minds(module):
     pytest.importorskip(module)

@@ -11,6 +11,8 @@ from documents import ROOT
 from graphtrack.experiments import all_experiments
 
 STEMS = sorted(path.stem for path in (results.RESULTS / "data").glob("*.json"))
+BY_HAND = {"gaps-at-turns", "outliers", "declared-noise", "isam2-speed"}
+"""Data without a command that measures them."""
 TABLES = sorted(set(results.specs()) - {"names", "quotes"})
 ABOUT = [
     {
@@ -31,8 +33,17 @@ def test_every_table_is_shown():
     text = "".join(page.read_text(encoding="utf-8") for page in results.pages())
     shown = {match["name"] for match in results.BLOCK.finditer(text)}
     assert text.count("<!-- results: ") == text.count("<!-- /results -->")
-    assert set(TABLES) <= shown
-    assert {f"about {stem}" for stem in STEMS if not re.search(r"-\d$", stem)} <= shown
+    found = [(match["kind"], match["name"]) for match in results.MARKER.finditer(text)]
+    assert len(found) == len(re.findall(r"^\[(?:table|setting)\b", text, flags=re.M)), "a line is misspelt"
+    assert set(TABLES) == shown | {name for kind, name in found if kind == "table"}
+    settings = {name for kind, name in found if kind == "setting"}
+    assert {stem for stem in STEMS if not re.search(r"-\d$", stem)} == settings
+
+
+def test_figures_of_a_table_stand_in_the_data_alone():
+    for page in results.pages():
+        text = page.read_text(encoding="utf-8")
+        assert page.name == "README.md" or not results.BLOCK.search(text), page
 
 
 @pytest.mark.parametrize("quote", results.specs()["quotes"], ids=lambda quote: quote["text"])
@@ -44,16 +55,22 @@ def test_figures_in_prose_are_those_of_the_data(quote):
 @pytest.mark.parametrize("stem", STEMS)
 def test_data_name_their_command_and_hold_what_is_shown(stem):
     data = results.stored(stem)
-    words = data["command"].split()
-    assert words[0] in ("graphtrack", "perception") and data["setting"].endswith(".")
-    if words[1] == "reproduce":
-        assert words[2] in all_experiments()
     assert all(table["title"].startswith(results.shown_titles(stem)) for table in data["tables"])
+    assert (stem in BY_HAND) == (data["command"] == "")
+    assert data["setting"].endswith(".")
+    match data["command"].split():
+        case ["graphtrack", "reproduce", name, *_]:
+            assert name in all_experiments()
+        case ["pytest", path, *_]:
+            assert (ROOT / path).exists()
+        case words:
+            assert words[:1] in (["graphtrack"], ["perception"], ["make"], [])
 
 
 @pytest.fixture
 def stored(tmp_path, monkeypatch):
     (tmp_path / "data").mkdir()
+    monkeypatch.setattr(results, "ROOT", tmp_path)
     monkeypatch.setattr(results, "RESULTS", tmp_path)
     spec = {
         "data": "one",
@@ -72,6 +89,17 @@ def test_a_table_is_written_with_its_labels_and_without_missing_intervals(stored
     page = "Text.\n\n<!-- results: errors -->\nold\n<!-- /results -->\n"
     assert "|b|2.5°|" in results.written(page) and "old" not in results.written(page)
     assert results.block("about one") == "All. `graphtrack reproduce one`\n"
+
+
+def test_the_line_of_a_table_names_its_file_and_becomes_the_table(stored):
+    page = results.written("Text.\n\n[setting one]\n\n[table errors: elsewhere.json]\n\nEnd.\n")
+    assert page.splitlines()[2:5:2] == [
+        "[setting one: graphtrack reproduce one]",
+        "[table errors: data/one.json]",
+    ]
+    built = results.on_page_markdown(page, page=None, config=None, files=None)
+    assert "All. `graphtrack reproduce one`\n" in built and "[table" not in built
+    assert "\n\n||1: error|\n|---|---|\n|`a`|−1.2° (−2 …)|\n|b|2.5°|\n\n\nEnd.\n" in built
 
 
 def test_two_rows_for_a_cell_and_missing_tables_are_refused(stored):

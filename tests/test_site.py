@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+import results
 from documents import ROOT
 
 import graphtrack
@@ -126,6 +127,23 @@ def test_the_site_has_commands_functions_and_pictures(site):
     cards = gallery[gallery.index('class="grid cards gallery"') : gallery.index("<h2")]
     assert len(re.findall(r"<img ", cards)) == len(list((ROOT / "notebooks").glob("*.ipynb")))
     assert (site / "notebooks" / "01-smoothing" / "index.html").exists()
+
+
+def test_pages_of_results_have_the_tables_of_the_data(site):
+    pages = [path.read_text(encoding="utf-8") for path in site.glob("results/*/index.html")]
+    assert len(pages) > 5 and not any(re.search(r"\[(?:table|setting) ", page) for page in pages)
+    tables = [results.block(name) for name in results.specs() if name not in ("names", "quotes")]
+    assert sum(page.count("<table>") for page in pages) >= len(tables) - 1  # one is README's
+    filters = (site / "results" / "filters" / "index.html").read_text(encoding="utf-8")
+    cell = results.block("weight").splitlines()[2].split("|")[4]
+    assert f"<td>{cell}</td>" in filters
+
+
+def test_pages_have_the_tables_of_the_code(site):
+    rooms = (site / "architecture" / "index.html").read_text(encoding="utf-8")
+    assert "<td><code>graphtrack/association/</code></td>" in rooms and "[rooms" not in rooms
+    service = (site / "serve" / "index.html").read_text(encoding="utf-8")
+    assert "<td><code>/v1/streams/NAME</code></td>" in service and "[addresses" not in service
 
 
 def test_pages_load_nothing_from_elsewhere(site):

@@ -1,6 +1,9 @@
-"""Tables of measured results: measured by ``make claims``, written into the pages by ``make results``.
+"""Tables of measured results: measured by ``make claims``, put into the pages when the site is built.
 
 ``docs/results/data/NAME.json`` holds what a command measured, ``docs/results/tables.toml`` how pages show it.
+A page of the site has one line for each table, ``[table NAME: FILE]``, and one for the setting in which
+a data file was measured, ``[setting NAME: COMMAND]``. ``make results`` completes these lines, and writes
+the tables of the README, which is read without the site, between two comments.
 """
 
 from __future__ import annotations
@@ -18,9 +21,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import Files
+from mkdocs.structure.pages import Page
+
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- results: (?P<name>(?:about )?[\w-]+) -->\n).*?(<!-- /results -->)", flags=re.S)
+MARKER = re.compile(r"^\[(?P<kind>table|setting) (?P<name>[\w-]+)(?:: [^\]\n]*)?\]$", flags=re.M)
+"""Line of a page that the table, or the setting of a data file, replaces in the built site."""
 FIELD = re.compile(r"\{(?P<column>[^{}|]*)(?:\|(?P<form>[^{}]*))?\}")
 MEASURED = ("graphtrack reproduce ", "perception evaluate ")
 """Beginnings of commands that have ``--json``."""
@@ -44,8 +53,7 @@ def stems(spec: Spec) -> list[str]:
 
 def stored(stem: str) -> dict[str, Any]:
     """Command, setting and tables of a data file, or of a file of records by its path from the root."""
-    path = ROOT / stem if "/" in stem else RESULTS / "data" / f"{stem}.json"
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = json.loads(stored_at(stem).read_text(encoding="utf-8"))
     if isinstance(content, dict):
         return content
     return {
@@ -53,6 +61,11 @@ def stored(stem: str) -> dict[str, Any]:
             {"title": "", "columns": list(content[0]), "rows": [list(one.values()) for one in content]}
         ]
     }
+
+
+def stored_at(stem: str) -> Path:
+    """Path of a data file."""
+    return ROOT / stem if "/" in stem else RESULTS / "data" / f"{stem}.json"
 
 
 def records(spec: Spec) -> Iterator[Record]:
@@ -103,7 +116,7 @@ def _shown(value: Any, form: str) -> str:
 
 
 def block(name: str) -> str:
-    """A table as Markdown; of ``about NAME`` setting and command of a data file.
+    """A table as Markdown; of ``about NAME`` setting and command, if there is one, of a data file.
 
     Raises
     ------
@@ -112,7 +125,8 @@ def block(name: str) -> str:
     """
     if name.startswith("about "):
         about = stored(name.removeprefix("about "))
-        return f"{about['setting']} `{about['command']}`\n"
+        command = f" `{about['command']}`" if about["command"] else ""
+        return f"{about['setting']}{command}\n"
     spec = specs()[name]
     if "lines" in spec:
         lines = [spec["head"], *([line["label"], *map(quoted, line["cells"])] for line in spec["lines"])]
@@ -181,8 +195,34 @@ def pages() -> list[Path]:
 
 
 def written(text: str) -> str:
-    """A page whose tables are those of the data."""
-    return BLOCK.sub(lambda match: f"{match[1]}\n{block(match['name'])}\n{match[3]}", text)
+    """A page with the tables between comments, and the lines of tables complete."""
+    text = BLOCK.sub(lambda match: f"{match[1]}\n{block(match['name'])}\n{match[3]}", text)
+    return MARKER.sub(lambda match: marker(match["kind"], match["name"]), text)
+
+
+def marker(kind: str, name: str) -> str:
+    """The line of a table, with the files of its figures, or of a setting, with the command.
+
+    >>> marker("table", "weight")
+    '[table weight: docs/results/data/baxter-weight.json]'
+    >>> marker("setting", "baxter-weight")
+    '[setting baxter-weight: graphtrack reproduce baxter-weight]'
+    """
+    if kind == "setting":
+        return f"[setting {name}: {stored(name)['command'] or 'recorded by hand'}]"
+    spec = specs()[name]
+    cells = [spec] if "data" in spec else [cell for line in spec["lines"] for cell in line["cells"]]
+    files = dict.fromkeys(str(stored_at(stem).relative_to(ROOT)) for cell in cells for stem in stems(cell))
+    return f"[table {name}: {', '.join(files)}]"
+
+
+def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put the tables and settings of a page into it."""
+    return MARKER.sub(lambda match: f"\n{block(_block_name(match))}", markdown)
+
+
+def _block_name(match: re.Match[str]) -> str:
+    return match["name"] if match["kind"] == "table" else f"about {match['name']}"
 
 
 def quoted(quote: Spec) -> str:
@@ -240,13 +280,13 @@ def write(stem: str, content: Record) -> None:
         title, columns = (json.dumps(one[key], ensure_ascii=False) for key in ("title", "columns"))
         tables.append(f'{{"title": {title},\n "columns": {columns},\n "rows": [\n  {rows}]}}')
     body = ",\n".join([*head, f'"tables": [{", ".join(tables)}]'])
-    path = RESULTS / "data" / f"{stem}.json"
+    path = stored_at(stem)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"{{{body}}}\n", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, if wanted, and write the tables into the pages."""
+    """Measure, if wanted, and bring the tables and their lines in the pages up to date."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument(
         "--measure", nargs="*", metavar="NAME", help="run the commands of these data files, or of all"
@@ -255,12 +295,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.measure is not None:
         for stem in options.measure or sorted(path.stem for path in (RESULTS / "data").glob("*.json")):
             if not measure(stem):
-                print(f"{stem}: not measured again, its command has no --json: {stored(stem)['command']}")
+                command = stored(stem)["command"] or "recorded by hand"
+                print(f"{stem}: not measured again, its command has no --json: {command}")
     for page in pages():
         text = page.read_text(encoding="utf-8")
         if written(text) != text:
             page.write_text(written(text), encoding="utf-8")
-            print(f"{page.relative_to(ROOT)}: tables written")
+            print(f"{page.relative_to(ROOT)}: written")
 
 
 if __name__ == "__main__":

@@ -23,10 +23,11 @@ from graphtrack.io.read_write import (
     rows_of_frame,
     tracks_given,
 )
+from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
-from graphtrack.tracks.table import Rows, check_identities, rows_of_table
+from graphtrack.tracks.table import Rows, check_identities
 from graphtrack.tracks.track import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:

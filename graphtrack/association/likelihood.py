@@ -352,16 +352,12 @@ def reach(state: FloatArray, dt: float, variance: float, scene: Scene) -> float:
 
 
 @compiled
-def is_within(
-    off_x: float, off_y: float, dt: float, state: FloatArray, variance: float, scene: Scene
-) -> bool:
-    """Return whether a detection is within the gate, ``off_x``, ``off_y`` metres from the predicted position.
-
-    ``dt``: seconds since the state; ``variance``: of the detection, m²
-    """
-    spread = spread_after(dt, state, variance, scene)
+def is_within(state: FloatArray, dt: float, later: Row, scene: Scene) -> bool:
+    """Return whether a detection ``dt`` seconds after a state is within the gate about its prediction."""
+    spread = spread_after(dt, state, later.variance, scene)
     if scene.jump_probability > 0.0:
         spread += scene.jump_variance
+    off_x, off_y = later.x - state[0] - dt * state[2], later.y - state[1] - dt * state[3]
     return off_x * off_x + off_y * off_y < GATE * GATE * spread
 
 

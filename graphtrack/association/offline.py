@@ -8,42 +8,21 @@ decreases; a few sweeps suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.appearance import AppearanceEvidence, ScoreRatio, constancy, learn_appearance
-from graphtrack.association.candidates import (
-    WORTHLESS,
-    Edges,
-    bridge,
-    carried,
-    changed_since,
-    ends_at,
-    gains_of_detections,
-    gains_of_links,
-    grid_of,
-    insert,
-    link,
-    match,
-    probabilities_of_links,
-    raise_least,
-    spanning,
-    window,
-)
 from graphtrack.association.likelihood import (
-    Chains,
-    IntArray,
     Scene,
     chains_of,
     learn_orientation,
     link_by,
-    refresh,
     remember_rest,
-    roots,
 )
+from graphtrack.association.moves import WORTHLESS, Moves
 from graphtrack.association.scene import (
     duplicate_density,
     first_guess,
@@ -55,173 +34,15 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 
-
-@dataclass(frozen=True, eq=False)
-class _Visit:
-    """Candidates of a cut or of a frame, by the keys of tracks and by detections, after a move."""
-
-    move: int
-    edges: Edges
-
-
-_RECENT = 2  # frames before the current frame: candidates of their heads are computed first
-
-
-class Moves:
-    """Chains of detections in the order of time, and the moves that change them.
-
-    Attributes
-    ----------
-    chains : the tracks
-    packed : the scene's parameters
-    link_p : (n,) probability of the link to the previous detection, among the alternatives of both
-    remembers : keep candidates, so that a repeated move computes only those that changed
-    worthless : gain, below that of the best, at which a candidate's probability is taken as 0
-    """
-
-    def __init__(self, chains: Chains, packed: Scene, remembers: bool = False) -> None:
-        self.chains, self.packed, self.remembers = chains, packed, remembers
-        self.link_p, self.worthless = np.ones(len(chains.t)), WORTHLESS
-        self._move = 1
-        self._visits: dict[tuple[str, int], _Visit] = {}
-        self._place = np.full(2 * len(chains.t), -1)
-
-    def move(self, first: int, end: int) -> bool:
-        """Make both moves at the frame of the detections ``first`` up to ``end``; True if a link changed."""
-        begin, last = window(self.chains, first, self.packed)
-        cut = self._cut(begin, first, last)
-        changed = self._frame(begin, first, end, last) or cut
-        refresh(self.chains, first, end, self.packed, self._move)
-        return changed
-
-    def filter_from(self, first: int) -> None:
-        """Filter all detections from ``first`` on along their chains."""
-        self._visits.clear()
-        refresh(self.chains, first, len(self.chains.t), self.packed, self._move)
-        remember_rest(self.chains, self.packed, self._move)
-
-    def _cut(self, begin: int, first: int, last: int) -> bool:
-        """Match the tracks before a frame to those from it on; return True if a link changed."""
-        heads, tails = ends_at(self.chains, begin, first, last)
-        if not len(heads) or not len(tails):
-            return False
-        edges = self._links(heads, tails, first)
-        if edges is None:
-            return False
-        partner = match(edges, (len(heads), len(tails)))
-        sure = self.link_p[tails]
-        probabilities_of_links(edges, partner, sure)
-        self.link_p[tails] = sure
-        return link(self.chains, heads, tails, partner, self.packed, self._move)
-
-    def _links(self, heads: IntArray, tails: IntArray, first: int) -> Edges | None:
-        """Candidates of heads for tails across a cut; None: nothing changed since the last time."""
-        chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
-
-        def gains(rows: IntArray, columns: IntArray, least: FloatArray) -> Edges:
-            some = tails[columns]
-            return gains_of_links(chains, heads[rows], some, grid_of(chains, some, base), least, scene)
-
-        place, none = ("cut", first), np.full(max(len(heads), len(tails)), -1)
-        fresh = self._fresh(place, heads, none[: len(heads)]), self._fresh(place, none[: len(tails)], tails)
-        if not fresh[0].any() and not fresh[1].any():
-            return None
-        recent = (chains.following[heads] >= 0) | (chains.frame[heads] >= base - _RECENT)
-        return self._candidates(place, heads, tails, fresh, recent, gains)
-
-    def _frame(self, begin: int, first: int, end: int, last: int) -> bool:
-        """Match the detections of a frame again to the tracks that span it; return whether a link changed."""
-        chains, scene, base = self.chains, self.packed, int(self.chains.frame[first])
-        heads, tails, keys = spanning(chains, begin, first, end, last)
-        if not len(heads):
-            return False
-        place, detections = ("frame", first), np.arange(first, end)
-        fresh = self._fresh(place, heads, tails), np.full(len(detections), place not in self._visits)
-        if not fresh[0].any() and not fresh[1].any():
-            return False
-        before = np.column_stack([chains.following[first:end], chains.preceding[first:end]])
-        bridge(chains, heads, tails, first, end)
-
-        def gains(rows: IntArray, columns: IntArray, least: FloatArray) -> Edges:
-            some = detections[columns]
-            grid = grid_of(chains, some, base)
-            return gains_of_detections(chains, heads[rows], tails[rows], some, grid, least, scene)
-
-        recent = (heads >= 0) & ((tails >= 0) | (chains.frame[heads] >= base - _RECENT))
-        edges = self._candidates(place, keys, detections, fresh, recent, gains)
-        partner = match(edges, (len(heads), len(detections)))
-        return insert(chains, heads, tails, partner, first, before, scene, self._move)
-
-    def _fresh(self, place: tuple[str, int], heads: IntArray, tails: IntArray) -> NDArray[np.bool_]:
-        """Return whether tracks (heads, tails; −1: none) changed since a move was last made at a place."""
-        visit = self._visits.get(place)
-        return changed_since(self.chains, heads, tails, -1 if visit is None else visit.move)
-
-    def _candidates(
-        self,
-        place: tuple[str, int],
-        keys: IntArray,
-        columns: IntArray,
-        fresh: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-        recent: NDArray[np.bool_],
-        gains: Callable[[IntArray, IntArray, FloatArray], Edges],
-    ) -> Edges:
-        """Candidates of tracks (rows) for detections (columns).
-
-        Parameters
-        ----------
-        place : where the move is made
-        keys : (rows,) names of tracks, see `spanning`
-        fresh : (rows,) and (columns,) that have changed since the move was last made there
-        recent : (rows,) whose candidates are computed first: candidates that they outbid are skipped
-        gains : candidates of some rows for some columns, whose gains are above a least value
-        """
-        self._move += self.remembers
-        pieces: list[Edges] = []
-        if place in self._visits:
-            pieces.append(carried(self._visits[place].edges, keys, columns, *fresh, self._place))
-        rows_fresh, columns_fresh = fresh
-        least, every, new = (
-            np.full(len(columns), self.worthless),
-            np.arange(len(columns)),
-            np.flatnonzero(columns_fresh),
-        )
-        for group in (recent, ~recent):
-            for rows, some in ((rows_fresh & group, every), (~rows_fresh & group, new)):
-                which = np.flatnonzero(rows)
-                if len(which) and len(some):
-                    i, j, gain = gains(which, some, least[some])
-                    pieces.append((which[i], some[j], gain))
-            edges = joined(pieces)
-            raise_least(edges, recent, self.worthless, least)
-        if self.remembers:
-            i, j, gain = edges
-            self._visits[place] = _Visit(self._move, (keys[i], columns[j], gain))
-        return edges
-
-    def roots(self) -> tuple[IntArray, FloatArray]:
-        """Return the first detection of each detection's track (n,), and at first detections its value.
-
-        The value is the log evidence ratio over false detections; −inf elsewhere.
-        """
-        root, value = np.empty(len(self.chains.t), np.int64), np.empty(len(self.chains.t))
-        roots(self.chains, self.packed, root, value)
-        return root, value
-
-
-def joined(pieces: Sequence[Edges]) -> Edges:
-    """Return all candidates of several arrays of them."""
-    if not pieces:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-    rows, columns, gains = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    return rows, columns, gains
-
-
 SWEEPS = 6  # most sweeps over the recording for one set of parameters
 ROUNDS = 4  # alternations of finding tracks and learning the scene's parameters from them
 TRUST = 4.0  # log odds that a tracker's next detection is of the same person: a switch in one of fifty
 _JOINED_FRAMES = 16
 """Frames that the first sweep looks ahead: nothing is linked yet, and every detection is a candidate."""
+
+_FIRST_GAP = 2.0
+"""Seconds of the longest gap in the first of several rounds, whose parameters are a guess; at least as many
+frames as above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +77,8 @@ def associate_detections(
     for k in range(rounds):
         if k:
             search.adopt(search.learned())
+        elif rounds > 1:
+            search.look_near()
         search.worthless = 0.0
         search.join_generously()
         # Link probabilities are those of the last round.
@@ -365,6 +188,11 @@ class _Search(Moves):
         seconds = self.packed.frame_seconds
         scene = learn_orientation(self.chains, scene, seconds, self._known)
         return learn_scene(self.chains, identity, scene, self._std, seconds, self._known)
+
+    def look_near(self) -> None:
+        """Look no further than a few seconds, until parameters are learned that tell what may be far."""
+        longest = max(_FIRST_GAP, _JOINED_FRAMES * self.packed.frame_seconds)
+        self.packed = self.packed._replace(longest_gap=min(self.packed.longest_gap, longest))
 
     def join_generously(self) -> None:
         """Sweep once with free births and deaths.

@@ -7,7 +7,7 @@ are learned.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from statistics import median
 from typing import Any
@@ -27,7 +27,7 @@ from graphtrack.association.likelihood import (
     refresh,
     unlinked,
 )
-from graphtrack.association.offline import Moves
+from graphtrack.association.moves import Moves
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -283,13 +283,20 @@ class OnlineAssociation(Moves):
         found._pack()
         return found
 
-    def open_detections(self) -> list[tuple[tuple[int, int], int]]:
-        """Detections that can still be revised, oldest first: (update, index in it), and their track ids."""
-        first = self._first[0] if self._first else len(self.chains.t)
-        frame, place, reported = (
-            values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.reported)
-        )
-        return list(zip(zip(frame, place, strict=True), reported, strict=True))
+    @property
+    def first_open(self) -> int:
+        """The number of the oldest update whose detections can still be revised."""
+        return int(self.chains.frame[self._first[0]]) if self._first else self.updates - 1
+
+    def open_detections(self, tracks: Collection[int]) -> dict[int, list[tuple[int, int]]]:
+        """Track id → its detections that can still be revised, oldest first: (update, index in it)."""
+        found: dict[int, list[tuple[int, int]]] = {}
+        reported = self._notes.reported
+        first = self._first[0] if self._first else len(reported)
+        for k in (first + np.flatnonzero(np.isin(reported[first:], list(tracks)))).tolist():
+            key = int(self.chains.frame[k]), int(self._notes.place[k])
+            found.setdefault(int(reported[k]), []).append(key)
+        return found
 
     def hidden(self) -> list[int]:
         """Track ids without a detection in the newest frame whose people probably are still there."""

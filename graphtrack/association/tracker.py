@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from graphtrack.association.associate import usable
 from graphtrack.association.likelihood import observed_angles
-from graphtrack.association.online import Decision, OnlineAssociation, Revision
+from graphtrack.association.online import NOBODY, Decision, OnlineAssociation, Revision
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -24,8 +25,7 @@ from graphtrack.inference.state import Estimate, as_track, checked, pack_observa
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
-from graphtrack.model.terms.faces_group import Group, with_group_at
-from graphtrack.model.terms.walls import with_walls_at
+from graphtrack.model.terms.conversation import Group, with_group_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
@@ -122,7 +122,7 @@ class DetectionTracker:
     """Track all people in a scene online from detections without identities; see `OnlineTracker`.
 
     ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
-    ``walkable``: area in which people walk, for a model with its term.
+    ``walkable``: area in which people walk.
     ``revised`` has the revisions of the last update, ``newest`` its observations.
     """
 
@@ -137,7 +137,7 @@ class DetectionTracker:
         groups: SceneGroups | None = None,
         walkable: WalkableArea | None = None,
     ) -> None:
-        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
+        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera, "walkable": walkable}
         self.model, self._camera, self._walkable = Model.named(model), camera, walkable
         smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
@@ -190,13 +190,13 @@ class DetectionTracker:
         self._observations |= {
             (number, place): to_smooth(one, noise) for place, one in enumerate(observations)
         }
-        owners, hidden = association.open_detections(), association.hidden()
+        hidden, settled = association.hidden(), association.first_open
         # A hidden person gets an empty frame, in which the model predicts.
         self._observations[number, UNSEEN] = Observation(t=t)
-        settled = owners[0][0][0] if owners else number
-        self._observations = {key: one for key, one in self._observations.items() if key[0] >= settled}
+        for key in list(takewhile(lambda key: key[0] < settled, self._observations)):
+            del self._observations[key]
         self.revised, self.newest = decision.revised, observations
-        self._follow(owners, hidden, number, settled)
+        self._follow(decision, hidden, number, settled)
         people = self._reported(decision, hidden)
         if self._groups is not None:
             for one in people:
@@ -252,34 +252,39 @@ class DetectionTracker:
         """Raise InputError unless a frame at a time (seconds) is valid."""
         self._association.check_time(t)
 
-    def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
+    def _follow(self, decision: Decision, hidden: list[int], number: int, settled: int) -> None:
         """Feed every person's smoother the detections now assigned to the person."""
-        of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         if self._groups is not None:
             self._groups.begin(self._observations[number, UNSEEN].t, number)
-        for key, track_id in owners:
+        new = {track_id: (number, place) for place, track_id in enumerate(decision.identity.tolist())}
+        revised = {track_id for one in decision.revised for track_id in (one.before, one.after)}
+        revised.discard(NOBODY)
+        again = self._association.open_detections(revised)
+        for track_id in sorted({*new, *revised} - self._people.keys()):
             if track_id > 0:
-                of_person.setdefault(track_id, []).append(key)
+                self._people[track_id] = _Person(self._smoother())
         hiding, living = set(hidden), self._association.remembered()
         fed: list[tuple[_Person, list[Key]]] = []
-        for track_id, keys in of_person.items():
-            person = self._people.get(track_id)
-            if person is None:
-                person = self._people[track_id] = _Person(self._smoother())
-            person.keys = [key for key in person.keys if key[0] >= settled]
-            person.groups_by_update = {
-                update: group for update, group in person.groups_by_update.items() if update >= settled
-            }
+        for track_id, person in list(self._people.items()):
+            person.forget(settled)
             if self._groups is not None:
                 group = self._groups.group(track_id)
                 person.groups_by_update |= {} if group is None else {number: group}
-            if keys or track_id in living:
-                observed_updates = {update for update, _ in keys}
-                unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in observed_updates]
-                unseen += [(number, UNSEEN)] if track_id in hiding else []
-                fed.append((person, sorted(keys + unseen)))
+            if track_id in revised:
+                observed = again.get(track_id, [])
             else:
+                observed = [key for key in person.keys if key[1] != UNSEEN]
+                observed += [new[track_id]] if track_id in new else []
+            if not observed and track_id not in living:
                 del self._people[track_id]
+                continue
+            keys = person.keys
+            if track_id in revised:
+                updates = {update for update, _ in observed}
+                keys = sorted(observed + [key for key in keys if key[1] == UNSEEN and key[0] not in updates])
+            elif track_id in new:
+                keys = [*keys, new[track_id]]
+            fed.append((person, [*keys, (number, UNSEEN)] if track_id in hiding else keys))
         # Smoothers are independent, and compiled code releases the interpreter's lock. A
         # thread gets its people at once: handed over one by one, the slowest frames take twice as long.
         parts = 1 if self._threads is None else processors()
@@ -346,14 +351,14 @@ class DetectionTracker:
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)
             detection = Observation(t=t, position=(x, y))
+        elif detection.t != t:
+            detection = replace(detection, t=t)
         if detection.position is None and detection.pixel is not None and self._camera is not None:
             x, y = self._camera.image_to_ground(np.array(detection.pixel)).tolist()
             detection = replace(detection, position=(x, y))
         if detection.position is None:
             raise InputError("a detection without a position", "x and y in metres, or u, v and a camera")
-        if self._walkable is not None:
-            detection = with_walls_at(detection, self._walkable)
-        return checked(replace(detection, t=t))
+        return checked(detection)
 
 
 @dataclass
@@ -364,6 +369,12 @@ class _Person:
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
     groups_by_update: dict[int, Group] = field(default_factory=dict)
+
+    def forget(self, settled: int) -> None:
+        """Forget detections and groups of updates before ``settled``."""
+        self.keys = [key for key in self.keys if key[0] >= settled]
+        for update in [update for update in self.groups_by_update if update < settled]:
+            del self.groups_by_update[update]
 
 
 UNSAID = "not reported online"

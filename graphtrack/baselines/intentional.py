@@ -28,10 +28,10 @@ from graphtrack.baselines.kalman import (
 )
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
-from graphtrack.model.observation import observed_angle, require_position
+from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.terms.intentional_motion import HEAD_RATE, head_rates, steered_step
-from graphtrack.tracks.track import Track
+from graphtrack.model.terms.motion import HEAD_RATE, head_rates, steered_step
+from graphtrack.tracks.track import Track, observed_angle
 
 Variant = Literal["printed", "consistent"]
 Displacement = Literal["smoothed", "velocity"]

@@ -15,8 +15,20 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import MotionParameters, Parameters, with_oscillation
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
+
+
+def transition_matrix(dt: float) -> FloatArray:
+    """F(Δt) (4, 4) for the state x, y, vx, vy."""
+    matrix = np.eye(4)
+    matrix[0, 2] = matrix[1, 3] = dt
+    return matrix
+
+
+def process_noise(dt: float, acceleration_density: float) -> FloatArray:
+    """Q(Δt) (4, 4) of white-noise acceleration, for the state x, y, vx, vy (the term Motion)."""
+    block = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    return acceleration_density * np.kron(block, np.eye(2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, loosened
-from graphtrack.model.terms.body_follows_motion import squared_excess
-from graphtrack.model.terms.intentional_motion import STANDSTILL
+from graphtrack.model.terms.couplings import squared_excess
+from graphtrack.model.terms.motion import STANDSTILL
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:

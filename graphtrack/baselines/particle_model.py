@@ -27,14 +27,18 @@ from graphtrack.model.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.gait import BASE, ROW, GaitOffsets, Modes, gait_of
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import HEAD_RATE, IntentionalMotion, head_rates, steered_step
-from graphtrack.model.terms.motion import Motion
-from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.terms.couplings import (
+    BASE,
+    ROW,
+    BodyFollowsMotion,
+    GaitOffsets,
+    HeadFollowsBody,
+    Modes,
+    gait_of,
+)
+from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
+from graphtrack.model.terms.orientation import BodyDynamics, BodyLikelihood, HeadDynamics, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import special
 from graphtrack.tracks.track import Track
 

@@ -52,7 +52,7 @@ def groups(
     from graphtrack.interaction.groups import groups as find
     from graphtrack.interaction.scores import score_groups
     from graphtrack.interaction.tables import load_parameters
-    from graphtrack.io.groups import write_columns
+    from graphtrack.io.read_write import write_table
     from graphtrack.tracks.table import with_names
 
     options.check_outputs(
@@ -66,7 +66,7 @@ def groups(
     make_behaviour_ready()
     found = find(tracks, chosen, online=online)
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
-    write_columns(with_names(found.columns(), tracks.as_read), output)
+    write_table(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
     most = {frame: len(one) for frame, one in found.members().items()}
     emit(
@@ -81,8 +81,7 @@ def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
     """Read the tracks, and smooth them if a model is named."""
     if model is None:
         return tracks
-    from graphtrack.inference.engines import engine_of
-    from graphtrack.inference.result import Solution
+    from graphtrack.inference.engines import Solution, engine_of
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
 
@@ -154,7 +153,7 @@ def attention(
     from graphtrack.interaction.people import read_places
     from graphtrack.interaction.scores import score_gaze
     from graphtrack.interaction.tables import load_attention, read_gaze
-    from graphtrack.io.groups import write_columns
+    from graphtrack.io.read_write import write_table
     from graphtrack.tracks.table import with_names
 
     options.check_outputs(
@@ -180,7 +179,7 @@ def attention(
     found = find(tracks, known, chosen, online=online)
     score = None if labels is None else score_gaze(found, labels)
     columns = attention_columns(found)
-    write_columns(with_names(columns, tracks.as_read), output)
+    write_table(with_names(columns, tracks.as_read), output)
     emit(
         f"wrote {output}: {counted(len(columns['frame']), 'row')}; {counted(len(found), 'track')}, "
         f"{counted(len(known), 'place')}"

@@ -114,8 +114,8 @@ def print_trackers(found: TrackerComparison) -> None:
         row.pop("group")
     print_table(f"Trackers on the same {found.detections} detections, {found.threshold}", rows)
     for one in found.results:
-        filled = "; smoothed, gaps filled" if found.filled and one.online else ""
-        emit(f"  {one.method}: {one.information}{filled}")
+        filled = "; smoothed, gaps filled" if found.filled and one.of.online else ""
+        emit(f"  {one.method}: {one.of.information}{filled}")
     for note in found.notes:
         emit(f"  note: {note}")
 

@@ -105,8 +105,11 @@ def fail(message: str) -> None:
 
 
 @contextmanager
-def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error; yield the function that advances it."""
+def progress_bar(total: int | None, unit: str = "person-frames") -> Iterator[Callable[..., None]]:
+    """Show a progress bar on standard error; yield the function that advances it.
+
+    It takes the number of steps done since the last call, and the total where that was not known.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -118,7 +121,7 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         task = progress.add_task("", total=total)
-        yield lambda count: progress.advance(task, count)
+        yield lambda count, total=None: progress.update(task, advance=count, total=total)
 
 
 class _Printed(logging.Handler):

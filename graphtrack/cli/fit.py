@@ -122,7 +122,7 @@ def _write(found: Learned, output: Path, json_path: Path | None, report: Path | 
     if report is not None:
         items: tuple[Note | DataTable, ...] = (
             *[Note(line) for line in notes],
-            *[DataTable.from_records(title, rows) for title, rows in tables.items()],
+            *[DataTable.of(title, rows) for title, rows in tables.items()],
         )
         write_html(report, Report("Learned parameters", sections=(Section("Learning", items),)))
         emit(f"wrote {report}")

@@ -71,8 +71,8 @@ def reproduce(
     tables: list[Table] = []
     for experiment in chosen.values():
         emit(f"{experiment.name}: {experiment.source}")
-        with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
-            found = experiment.run(settings, advance)
+        with input_warnings_as_notes(), progress_bar(None, "parts") as advance:
+            found = experiment.run(settings, advance, lambda parts: advance(0, parts))
         write(found, out, experiment.quick if quick else "")
         tables += found.tables
     write_json(json_path, [table.to_dict() for table in tables])

@@ -51,7 +51,7 @@ def score_forecasts(
         try:
             found[name] = judge_forecasts(read_forecasts(table), reading.tracks([true]))
         except InputError as error:
-            raise InputError(error.found, error.expected, path=error.path or table) from error
+            raise error.at(error.path or table) from error
     print_table("Forecasts compared", [row for name, one in found.items() for row in _rows(name, one)])
     if len(found) > 1:
         print_table("Errors over those of constant velocity, mean of the recordings", [_mean_ratio(found)])
@@ -213,7 +213,7 @@ def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: Tr
     cards = [Card(HEADINGS[name], f"{getattr(figures, name):.3f}") for name in ("hota", "idf1", "mota")]
     cards.append(Card(HEADINGS["switches"].capitalize(), str(figures.switches)))
     tables = tuple(
-        DataTable.from_records(title, [figures.shown(names)])
+        DataTable.of(title, [figures.shown(names)])
         for title, names in ((f"Tracks and identities, {found.threshold}", SHARES), ("Counted", COUNTS))
     )
     page = tracking_report(

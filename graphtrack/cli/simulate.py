@@ -90,14 +90,14 @@ def simulate(
         raise InputError("--scene and --scenario", "one of them")
     rng = np.random.default_rng(seed)
     if scene is not None:
-        from graphtrack.io.groups import write_columns
+        from graphtrack.io.read_write import write_table
         from graphtrack.simulation.scenario import party
 
         made = party(rng, people=tracks, steps=steps, fps=fps)
         what, found = "a party", made.tracks
         for path, columns in ((groups, made.group_columns()), (gaze, made.look_columns())):
             if path is not None:
-                write_columns(columns, path)
+                write_table(columns, path)
     elif scenario:
         what, found = "the demo's people", scripted(rng, fps=fps, seconds=steps / fps)
     else:

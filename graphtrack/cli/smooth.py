@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,10 +13,13 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
+from graphtrack.io.atomic import check_place
 from graphtrack.io.source import table_in
 from graphtrack.tracks.display import counted, duration
 
 if TYPE_CHECKING:
+    from graphtrack.io.options import ReadOptions
+    from graphtrack.scale import Dataset
     from graphtrack.tracks.track import TrackSet
 
 
@@ -52,15 +56,60 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
     return inputs[0]
 
 
-def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
-    """Smooth a data set, and print the outcome; exit with status 2 if a track failed."""
-    from graphtrack.inference.chain.batch import is_large
-    from graphtrack.inference.warm import make_solver_ready
-    from graphtrack.scale import open_dataset, smooth_dataset
+def smooth_streamed(path: Path, output: Path, read_options: ReadOptions, **options: Any) -> None:
+    """Smooth a data set, and print the outcome; exit with status 2 if a track failed.
+
+    Rows without identities are associated first, into a file that is removed in the end.
+    """
+    from graphtrack.scale import open_dataset
 
     dataset = open_dataset(path)
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
     emit(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed")
+    if read_options.associate == "repair":
+        raise InputError("--associate repair when streaming", "auto, always or never, or --no-stream")
+    without = "track_id" not in dataset.columns and read_options.associate == "auto"
+    if not (without or read_options.associate == "always"):
+        _smooth_tracks(dataset, output, read_options=read_options, **options)
+        return
+    if options["select"]:
+        raise InputError(
+            "--select for rows without identities", "no such option when streaming, or --no-stream"
+        )
+    check_place(output)
+    with TemporaryDirectory(prefix=f".{output.name}.", dir=output.absolute().parent) as folder:
+        tracks = Path(folder) / output.name
+        _associate(dataset, tracks, read_options, options)
+        _smooth_tracks(open_dataset(tracks), output, read_options=read_options, **options)
+
+
+def _associate(dataset: Dataset, output: Path, read_options: ReadOptions, options: Mapping[str, Any]) -> None:
+    """Associate a data set of detections block by block, and print the outcome."""
+    from graphtrack.scale import associate_dataset
+
+    start = time.perf_counter()
+    with progress_bar(dataset.n_rows, "detections") as advance:
+        outcome = associate_dataset(
+            dataset,
+            output,
+            options["model"].scene,
+            jobs=options["jobs"] if options["cluster"] == "local" else None,
+            cluster=options["cluster"],
+            block_rows=options["batch_frames"],
+            read_options=read_options,
+            progress=advance,
+        )
+    emit(
+        f"associated {counted(outcome.n_detections, 'detection')} in {counted(outcome.blocks, 'block')}: "
+        f"{counted(outcome.people, 'track')}, in {duration(time.perf_counter() - start)}"
+    )
+
+
+def _smooth_tracks(dataset: Dataset, output: Path, **options: Any) -> None:
+    from graphtrack.inference.chain.batch import is_large
+    from graphtrack.inference.engines import make_solver_ready
+    from graphtrack.scale import smooth_dataset
+
     if options["cluster"] in (None, "local"):
         in_lanes = (is_large(options["model"], dataset.n_rows),)
         make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
@@ -113,16 +162,15 @@ def smooth(
 
     Data sets larger than memory
     ----------------------------
-    stream : Read Parquet track by track in bounded memory; default for folders and files from 512 MB.
-    batch_frames : Person-frames held at a time when streaming.
+    stream : Read Parquet in bounded memory, track by track or, without identities, in blocks of time; default
+        for folders and files from 512 MB.
+    batch_frames : Person-frames or detections held at a time when streaming.
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
-    from graphtrack.inference.engines import engine_of
-    from graphtrack.inference.result import Failure, Solution
-    from graphtrack.inference.warm import make_solver_ready
+    from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at

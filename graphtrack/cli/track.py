@@ -78,8 +78,6 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: repairing tracks needs future frames")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        if walkable is not None:
-            raise InputError("--walkable with -", "a file as the input")
         of_streams = ("fps", "homography", "associate", "columns", "time_unit")
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
@@ -87,7 +85,7 @@ def track(
             names = ", ".join(map(options.option_name, refused))
             raise InputError(f"{names} with -", "these options with a file only")
         horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
-        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
+        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked, walkable)
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
@@ -107,7 +105,7 @@ def track(
         _track_detections(rows, output, chosen, engine, kept, walkable)
         return
     tracks = reading.tracks([place_of(input)], rows)
-    OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
+    OnlineSmoother(chosen, engine=engine, lag=kept, walkable=walkable)  # the first one compiles
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
@@ -200,8 +198,10 @@ def _track_stream(
     save_every: float,
     horizon: tuple[float, float] | None,
     asked: Asked | None,
+    walkable: Path | None,
 ) -> None:
     from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.io.cameras import read_homography
     from graphtrack.streaming.protocol import StreamNames
     from graphtrack.streaming.session import MOST_TOGETHER, Answers, Listener, track_stream
@@ -209,7 +209,17 @@ def _track_stream(
     given = reading.options()
     layout, plane = given.layout(), reading.homography
     camera = None if plane is None else GroundCamera.from_homography(read_homography(plane))
-    answers = Answers(model, engine, lag, given.fps, camera, given.associate, horizon, asked)
+    answers = Answers(
+        model,
+        engine,
+        lag,
+        given.fps,
+        camera,
+        given.associate,
+        horizon,
+        asked,
+        walkable=None if walkable is None else WalkableArea.of(walkable),
+    )
 
     def went_on(row: int, line: int, again: int) -> None:
         lines = "" if line == row else f" (the last is line {line})"
@@ -252,6 +262,7 @@ def serve(
     groups: bool = False,
     attention: bool = False,
     places: options.Places = None,
+    walkable: options.Walkable = None,
     state: Annotated[Path | None, typer.Option(file_okay=False)] = None,
     save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
     token_file: options.InputFile | None = None,
@@ -296,6 +307,7 @@ def serve(
     patience : Seconds that answers may stay unread, or pings unanswered.
     """
     from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography
     from graphtrack.model import Model
@@ -321,6 +333,7 @@ def serve(
         asked=asked_of(groups, attention, places),
         horizon=horizon_of(forecast),
         bounds=StreamBounds(max_people, forget_after),
+        walkable=None if walkable is None else WalkableArea.of(walkable),
     )
     limits = Limits(max_streams, max_rate, max_line, patience)
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)

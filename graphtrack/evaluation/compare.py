@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -43,8 +43,11 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
-class Method(Protocol):
-    """A method that can be compared.
+MethodGroup = Literal["online", "offline"]
+
+
+class Described(Protocol):
+    """A method that can be compared with others of its kind.
 
     Attributes
     ----------
@@ -65,6 +68,35 @@ class Method(Protocol):
     @property
     def information(self) -> str:
         """Description of the observations that the method uses."""
+
+
+Kind = TypeVar("Kind", bound=Described)
+
+
+def compared(methods: Sequence[str | Kind], make: Callable[[Any], Kind], known: Iterable[str]) -> list[Kind]:
+    """Return methods of names or of a user, online ones first, since these are compared with each other.
+
+    Raises
+    ------
+    InputError
+        Without methods, or with two of the same name.
+    """
+    made = [make(method) for method in methods]
+    names = [method.name for method in made]
+    if not names:
+        raise InputError("no methods", f"one or more of {', '.join(known)}")
+    if len(set(names)) != len(names):
+        raise InputError(f"methods {', '.join(names)}", "each method once")
+    return sorted(made, key=lambda method: not method.online)
+
+
+def group_of(method: Described) -> MethodGroup:
+    """Return the group within which a method is compared."""
+    return "online" if method.online else "offline"
+
+
+class Method(Described, Protocol):
+    """A method that estimates one track at a time."""
 
     def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
         """Return estimates, one for each frame; None in channels that are not estimated."""
@@ -294,8 +326,6 @@ def _trouble(estimate: Track, track: Track, mask: BoolArray) -> str:
 METHODS = ("chain", "isam2", "kf", "intentional", "intentional-printed", "particle", "smoother", "rts")
 """Methods compared by default: graph engines, Kalman filter, the papers' filters, and the RTS smoother."""
 
-MethodGroup = Literal["online", "offline"]
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -407,7 +437,9 @@ def compare(
         a method is unknown or named twice.
     """
     model = None if model is None else Model.named(model)
-    made, tracks = _make(methods, model), tracks_of(tracks)
+    listed = [methods] if isinstance(methods, str) else methods  # and not its letters
+    made = compared(listed, lambda method: make_method(method, model), METHODS)
+    tracks = tracks_of(tracks)
     with_truth = [track for track in tracks if track.has_truth]
     if not with_truth:
         raise InputError(
@@ -458,18 +490,6 @@ def common_tracks(records: Sequence[TrackScore]) -> list[TrackScore]:
     return [record for record in records if not record.failure and record.track_id in common]
 
 
-def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method, ...]:
-    listed = [methods] if isinstance(methods, str) else methods  # and not its letters
-    made = tuple(make_method(method, model) for method in listed)
-    names = [method.name for method in made]
-    if not names:
-        raise InputError("no methods", f"one or more of {', '.join(METHODS)}")
-    if len(set(names)) != len(names):
-        raise InputError(f"methods {', '.join(names)}", "each method once")
-    # Online methods are listed together: they are compared only with each other.
-    return tuple(sorted(made, key=lambda method: not method.online))
-
-
 def _located(track: Track) -> bool:
     """Return True if any position was observed, on the ground or in the image."""
     observed = bool(np.isfinite(track.position).all(axis=1).any())
@@ -496,13 +516,9 @@ def _preset(method: Method) -> str:
     return model.preset if isinstance(model, Model) else ""
 
 
-def _group(method: Method) -> MethodGroup:
-    return "online" if method.online else "offline"
-
-
 def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        heading = {"method": method.name, "group": _group(method), "model": _preset(method)}
+        heading = {"method": method.name, "group": group_of(method), "model": _preset(method)}
         for metric, unit in METRICS.items():
             own = [record.metrics for record in records if record.method == method.name]
             values = [metrics[metric] for metrics in own if metric in metrics]
@@ -518,7 +534,7 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
     ids = sorted({record.track_id for record in records})
     rng = np.random.default_rng(0)
     for group in ("online", "offline"):
-        names = [m.name for m in methods if _group(m) == group and any((m.name, i) in values for i in ids)]
+        names = [m.name for m in methods if group_of(m) == group and any((m.name, i) in values for i in ids)]
         for name in names[1:]:
             heading = {"method": name, "group": group, "reference": names[0]}
             for metric, unit in METRICS.items():
@@ -536,7 +552,7 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
 
 def _calibration(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        heading = {"method": method.name, "group": _group(method), "model": _preset(method)}
+        heading = {"method": method.name, "group": group_of(method), "model": _preset(method)}
         own = [record.calibration for record in records if record.method == method.name]
         yield from ({**heading, **row} for row in calibration_rows(own))
 
@@ -556,7 +572,7 @@ def _caption(
             "each person's sharpest turn; only these frames are scored."
         )
     used = {
-        group: "; ".join(f"{m.name} ({m.information})" for m in methods if _group(m) == group)
+        group: "; ".join(f"{m.name} ({m.information})" for m in methods if group_of(m) == group)
         for group in ("online", "offline")
     }
     if used["online"]:
@@ -565,7 +581,7 @@ def _caption(
         parts.append(f"Offline, from the whole track: {used['offline']}.")
     if used["online"] and used["offline"]:
         parts.append("Compare online methods only with online ones, and offline with offline.")
-    if max(sum(_group(m) == group for m in methods) for group in ("online", "offline")) > 1:
+    if max(sum(group_of(m) == group for m in methods) for group in ("online", "offline")) > 1:
         parts.append(
             "Differences are paired: mean over the tracks of a method's value minus that of the first method "
             "of its group, with a 95 % bootstrap interval over five tracks or more."

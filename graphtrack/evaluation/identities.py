@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial, reduce
+from itertools import pairwise
 from operator import add
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from graphtrack.association.associate import tracks_of
-from graphtrack.association.candidates import match
+from graphtrack.association.matching import match
 from graphtrack.errors import InputError
 from graphtrack.evaluation.matching import (
     EPSILON,
@@ -47,6 +48,7 @@ from graphtrack.evaluation.matching import (
 )
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.io.read_write import paired_files, read_boxes
+from graphtrack.packages import optimize
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table
 from graphtrack.tracks.validation import check_positive
 
@@ -159,7 +161,7 @@ def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatch
         worth = np.where(
             similarity >= threshold - EPSILON, KEEPING * (tracks == now[people]) + similarity, 0.0
         )
-        found = matched_pairs(row, column, worth)
+        found = matched_in_frame(frames, k, worth)
         row, people, tracks = row[found], people[found], tracks[found]
         number, before = int(frames.numbers[k]), last[people]
         yield FrameMatches(number, row, people, tracks, similarity[found], before, now[people] == NOBODY)
@@ -174,6 +176,29 @@ def matched_pairs(row: IntArray, column: IntArray, worth: FloatArray) -> IntArra
     rows, i = np.unique(row, return_inverse=True)
     columns, j = np.unique(column, return_inverse=True)
     partner = match((i, j, np.ascontiguousarray(worth, float)), (len(rows), len(columns)))
+    return np.flatnonzero((partner[i] == j) & (worth > EPSILON))
+
+
+MOST_CELLS = 40_000
+"""Largest product of the rows of both sides in a frame for which ties are broken as in TrackEval."""
+
+
+def matched_in_frame(frames: SharedFrames, k: int, worth: FloatArray) -> IntArray:
+    """Return the indices of the best pairs as `matched_pairs`, among those of the k-th shared frame.
+
+    Equal scores, as of positions on a grid, are decided by SciPy's assignment of all rows, as in TrackEval.
+    """
+    here = slice(frames.start[k], frames.start[k + 1])
+    row, column = frames.row[here], frames.column[here]
+    i, j = row - frames.truth_start[k], column - frames.estimate_start[k]
+    shape = tuple(int(first[k + 1] - first[k]) for first in (frames.truth_start, frames.estimate_start))
+    if not len(row) or np.prod(shape) > MOST_CELLS:
+        return matched_pairs(row, column, worth)
+    full = np.zeros(shape)
+    full[i, j] = worth
+    partner = np.full(shape[0], -1)
+    rows, columns = optimize.linear_sum_assignment(full, maximize=True)
+    partner[rows] = columns
     return np.flatnonzero((partner[i] == j) & (worth > EPSILON))
 
 
@@ -266,7 +291,13 @@ def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
     In each frame the matching maximises the sum of similarities, each weighted by the alignment of the two
     over the whole sequence. As in TrackEval, one matching serves all α.
     """
-    found = matched_pairs(frames.row, frames.column, _alike(frames) * frames.similarity)
+    worth = _alike(frames) * frames.similarity
+    parts = [
+        start + matched_in_frame(frames, k, worth[start:end])
+        for k, (start, end) in enumerate(pairwise(frames.start.tolist()))
+        if end > start
+    ]
+    found = np.concatenate([*parts, np.zeros(0, np.int64)])
     return frames.truth[frames.row[found]], frames.estimates[frames.column[found]], frames.similarity[found]
 
 

@@ -204,6 +204,7 @@ class SharedFrames:
     truth, estimates : the person of each row, (n,) and (m,)
     row, column, similarity : (p,) pairs of rows in one frame with a similarity above 0
     start : (f + 1,) index of the first pair of each frame
+    truth_start, estimate_start : (f + 1,) index of the first row of each frame
     truth_rows, estimate_rows : number of frames of each person
     """
 
@@ -215,6 +216,8 @@ class SharedFrames:
     column: IntArray
     similarity: FloatArray
     start: IntArray
+    truth_start: IntArray
+    estimate_start: IntArray
     truth_rows: IntArray
     estimate_rows: IntArray
 
@@ -273,6 +276,8 @@ def share_frames(
         column=column,
         similarity=alike,
         start=np.searchsorted(truth.frame[row], ends),
+        truth_start=np.searchsorted(truth.frame, ends),
+        estimate_start=np.searchsorted(estimates.frame, ends),
         truth_rows=np.bincount(true_person, minlength=len(truth_ids)),
         estimate_rows=np.bincount(estimated_person, minlength=len(estimate_ids)),
     )

@@ -24,10 +24,11 @@ from graphtrack.association.associate import associated, with_every_frame
 from graphtrack.association.tracker import track_rows
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
+from graphtrack.evaluation.compare import Described, compared, group_of
 from graphtrack.evaluation.identities import SequenceScore, Threshold, judge, threshold_of
 from graphtrack.evaluation.matching import estimated_detections, true_detections
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Solution
+from graphtrack.inference.engines import Solution
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file, rows_of_file
 from graphtrack.model import Model
@@ -292,27 +293,8 @@ TRACKERS = ("associate", "online", "hungarian")
 """Methods that need no other package."""
 
 
-class TrackingMethod(Protocol):
-    """A tracker of many people.
-
-    Attributes
-    ----------
-    name : short and unique
-    online : True if identities of a frame are assigned before the next frame, and never revised
-    information : description of the method
-    """
-
-    @property
-    def name(self) -> str:
-        """Short and unique."""
-
-    @property
-    def online(self) -> bool:
-        """True if the output of a frame depends on the past alone."""
-
-    @property
-    def information(self) -> str:
-        """A description in words."""
+class TrackingMethod(Described, Protocol):
+    """A tracker of many people; an online one assigns a frame's identities at once and never revises them."""
 
     def track(self, detections: Detections) -> TrackSet:
         """Return tracks from detections of a recording, which an online method reads frame by frame."""
@@ -433,31 +415,25 @@ REHEARSED = 5
 
 @dataclass(frozen=True)
 class TrackerResult:
-    """The result of a method.
+    """The result of a method: its run time in seconds, and the metrics of its tracks."""
 
-    Attributes
-    ----------
-    method : name of the method
-    online : True if it used the past only
-    information : description of the method
-    seconds : run time
-    score : metrics of its tracks
-    """
-
-    method: str
-    online: bool
-    information: str
+    of: TrackingMethod
     seconds: float
     score: SequenceScore
 
     @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.of.name
+
+    @property
     def group(self) -> str:
         """Group of the method: online and offline methods are not compared with each other."""
-        return "online" if self.online else "offline"
+        return group_of(self.of)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures in plain types."""
-        record = {"method": self.method, "group": self.group, "information": self.information}
+        record = {"method": self.method, "group": self.group, "information": self.of.information}
         figures = {name: getattr(self.score, name) for name in FIGURES}
         return record | figures | {"tracks": self.score.tracks, "seconds": self.seconds}
 
@@ -527,14 +503,11 @@ def compare_trackers(
         an empty truth.
     """
     chosen = Model.named(model)
-    made = [make_tracker(method, chosen) for method in methods]
-    names = [method.name for method in made]
-    if not names or len(set(names)) != len(names):
-        raise InputError(f"methods {', '.join(names) or '(none)'}", "at least one method, each once")
+    made = compared(methods, lambda method: make_tracker(method, chosen), registry)
     threshold, true = threshold_of(metres), true_detections(truth)
     few = _first_frames(detections, REHEARSED)
     results, notes = [], []
-    for method in sorted(made, key=lambda method: not method.online):
+    for method in made:
         method.track(few)
         start = time.perf_counter()
         found = method.track(detections)
@@ -543,9 +516,7 @@ def compare_trackers(
             found = smoothed(with_every_frame(found.map(_as_observed)), chosen)
         judged = judge([("", estimated_detections(found), true)], threshold)
         notes += [f"{method.name}: {note}" for note in judged.notes]
-        results.append(
-            TrackerResult(method.name, method.online, method.information, seconds, judged.together)
-        )
+        results.append(TrackerResult(method, seconds, judged.together))
         progress(1)
     return TrackerComparison(
         tuple(results),

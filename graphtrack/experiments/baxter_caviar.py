@@ -5,8 +5,9 @@ Filters are fitted on some of the people; controls change one condition at a tim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -23,19 +24,17 @@ from graphtrack.experiments.harness import (
     Experiment,
     Fitted,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
     Table,
     fit,
     fitted_graph,
     graph_predictions,
     model_of,
-    page,
     quietly,
     squared_error,
-    tabulated,
 )
 from graphtrack.experiments.harness import PREDICTED as METHODS
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
@@ -50,30 +49,21 @@ RELABELLED = float(np.radians(2.0))
 less in the world as a person walks through the wide-angle view."""
 
 
-@dataclass(frozen=True)
-class Person:
-    """A person's stretch of labelled heads; the labelled positions are also the truth."""
-
-    sequence: str
-    track: Track
-
-    @property
-    def name(self) -> str:
-        """Sequence and number."""
-        return f"{self.sequence} {self.track.track_id}"
+People = Mapping[str, Track]
+"""Sequence and number of a person → stretch of labelled heads; labelled positions are also the truth."""
 
 
-def people(settings: Settings) -> list[Person]:
+def people(settings: Settings) -> dict[str, Track]:
     """Everybody with enough labelled heads in the CAVIAR sequences that are there."""
     folder = None if settings.data is None else settings.data / "caviar"
     if folder is None or not folder.is_dir():
-        return []
-    return [
-        Person(path.stem, stretch)
+        return {}
+    return {
+        f"{path.stem} {track.track_id}": stretch
         for path in sorted(folder.rglob("*.xml"))
         for track in quietly(path)
         if (stretch := labelled_stretch(track)) is not None
-    ]
+    }
 
 
 def labelled_stretch(track: Track) -> Track | None:
@@ -125,7 +115,6 @@ def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -
     density, std = fit(lambda q, s: cost(q, s, 0.0), [1.0, 0.05], evaluations=40 // effort)
     *own, rate = fit(cost, [density, std, 1.0], evaluations=60 // effort)
     progress(1)
-
     graphs: dict[str, Model] = {}
     for name, more in (("graph joint", ()), ("graph joint-intentional", (float(np.clip(rate, 0.1, 30.0)),))):
         start = (density, 3.0, *more)
@@ -173,10 +162,6 @@ LABEL_STD = 0.07
 """Metres, 1 σ of the labelled positions fitted with the Kalman filter; Baxter et al.'s R is 0.71."""
 
 
-def _as_they_are(parameters: IntentionalParameters) -> IntentionalParameters:
-    return parameters
-
-
 @dataclass(frozen=True)
 class Control:
     """A change to the data or to the parameters.
@@ -184,19 +169,15 @@ class Control:
     Attributes
     ----------
     name : in tables
-    change : of a track
+    change : of a track; by default none
     adapt : Baxter et al.'s parameters to others, for the Kalman filter too
     random : whether the change is drawn, so that it is repeated
     """
 
     name: str
-    change: Change
-    adapt: Adaptation = _as_they_are
+    change: Change = lambda track, rng: track
+    adapt: Adaptation = lambda parameters: parameters
     random: bool = False
-
-
-def _as_it_is(track: Track, rng: np.random.Generator) -> Track:
-    return track
 
 
 def turned_around(track: Track, rng: np.random.Generator) -> Track:
@@ -251,15 +232,15 @@ def scaled(factor: float) -> Change:
 
 
 CONTROLS = (
-    Control("as recorded", _as_it_is),
+    Control("as recorded"),
     Control("head turned around", turned_around),
     Control("head at random", at_random, random=True),
     Control("head along the travel", as_travelled),
     Control("deviations shuffled", shuffled, random=True),
     Control("5 frames a second", every(5)),
     Control("2.5 frames a second", every(10)),
-    Control("low base weight (τ = 3.5)", _as_it_is, lambda own: replace(own, weight_offset=LIGHT)),
-    Control("R = (0.07 m)²", _as_it_is, lambda own: replace(own, observation_variance=LABEL_STD**2)),
+    Control("low base weight (τ = 3.5)", adapt=lambda own: replace(own, weight_offset=LIGHT)),
+    Control("R = (0.07 m)²", adapt=lambda own: replace(own, observation_variance=LABEL_STD**2)),
     Control("positions ± 0.1 m", noisy(0.1), random=True),
     Control("positions ± 0.25 m", noisy(0.25), random=True),
     Control("positions ± 0.5 m", noisy(0.5), random=True),
@@ -267,30 +248,13 @@ CONTROLS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ControlGain:
-    """Gains over Baxter et al.'s Kalman filter where all is detected.
-
-    Attributes
-    ----------
-    control, method : which
-    error, likelihood : (people,) mean over the repetitions of the MSE and CLL ratios; NaN where a CLL is
-        positive
-    """
-
-    control: str
-    method: str
-    error: FloatArray
-    likelihood: FloatArray
-
-
 def control_gains(
     tracks: Sequence[Track],
     repetitions: int,
     rng_of: Callable[[int, int], np.random.Generator],
     controls: Sequence[Control] = CONTROLS,
-) -> list[ControlGain]:
-    """Controls with both of Baxter et al.'s filters.
+) -> list[Row]:
+    """Controls with both of Baxter et al.'s filters: medians of the people's gains over its Kalman filter.
 
     Parameters
     ----------
@@ -299,15 +263,18 @@ def control_gains(
     rng_of : from the numbers of a control and a repetition to its source of randomness
     controls : changes of the heads
     """
-    found = []
+    rows: list[Row] = []
     for c, control in enumerate(controls):
+        row: dict[str, Cell] = {"what is changed": control.name}
         for method, own in OWN_FILTERS.items():
             parameters = control.adapt(own)
             times = range(repetitions if control.random else 1)
             ratios = np.array([_ratios(tracks, control, parameters, rng_of(c, k)) for k in times])
-            error, likelihood = ratios.mean(axis=0).T
-            found.append(ControlGain(control.name, method, error, likelihood))
-    return found
+            # A CLL gain is NaN where a CLL is positive.
+            error, likelihood = np.median(ratios.mean(axis=0), axis=0).tolist()
+            row |= {f"{method}: MSE gain": error, f"{method}: CLL gain": likelihood}
+        rows.append(row)
+    return rows
 
 
 def _ratios(
@@ -324,12 +291,9 @@ def _ratios(
 
 
 RATES = (1.0, 0.8, 0.6)
-OWN = ("printed", "consistent")
-"""Baxter et al.'s filters with its parameters."""
-
-PAPER = {1.0: "above 1", 0.8: "above 1", 0.6: "1.122"}
-"""Baxter et al. 2014, Fig. 5(a) and §IV-B: the CLL gain on CAVIAR by the detection rate; the picture has no
-numbers."""
+PAPER = {100: "above 1", 80: "above 1", 60: "1.122"}
+"""Baxter et al. 2014, Fig. 5(a) and §IV-B: the CLL gain on CAVIAR by the detection rate in %; the picture has
+no numbers."""
 
 FOLDS = 2
 QUICK_PEOPLE, QUICK_FRAMES = 4, 100
@@ -338,46 +302,44 @@ Outcomes = Mapping[tuple[float, str], FloatArray]
 """(rate, method) → (seeds, people, 2): sum of squared errors in m², CLL."""
 
 
-def chosen(settings: Settings) -> list[Person]:
+def chosen(settings: Settings) -> dict[str, Track]:
     """The people; few frames of few of them with ``quick``."""
     found = people(settings)
     if not settings.quick:
         return found
-    return [replace(one, track=one.track[:QUICK_FRAMES]) for one in found[-QUICK_PEOPLE:]]
+    return {name: found[name][:QUICK_FRAMES] for name in list(found)[-QUICK_PEOPLE:]}
 
 
 def seeds_at(rate: float, settings: Settings) -> int:
     """Number of draws of the detections."""
-    return 1 if rate == 1.0 else 2 if settings.quick else 10
+    return 1 if rate == 1.0 else settings.few(10, 2)
 
 
-def fit_folds(everyone: Sequence[Person], settings: Settings, progress: Progress) -> list[Fitted]:
+def fit_folds(everyone: People, settings: Settings) -> list[Fitted]:
     """For each person the fit on the other half of the people, at a detection rate of 80 %."""
     folds = []
     for fold in range(FOLDS):
         training = [
-            detected(one.track, 0.8, settings.rng(9, k))
-            for k, one in enumerate(everyone)
+            detected(track, 0.8, settings.rng(9, k))
+            for k, track in enumerate(everyone.values())
             if k % FOLDS != fold
         ]
-        folds.append(fit_filters(training, progress, quick=settings.quick))
+        folds.append(fit_filters(training, settings.progress, quick=settings.quick))
     return [folds[k % FOLDS] for k in range(len(everyone))]
 
 
-def judge(
-    everyone: Sequence[Person], fitted: Sequence[Fitted], settings: Settings, progress: Progress
-) -> Outcomes:
+def judge(everyone: People, fitted: Sequence[Fitted], settings: Settings) -> Outcomes:
     """Every method on every person, at every rate and seed."""
     found: dict[tuple[float, str], FloatArray] = {}
     for r, rate in enumerate(RATES):
         seeds = seeds_at(rate, settings)
         for seed in range(seeds):
-            for k, (one, own) in enumerate(zip(everyone, fitted, strict=True)):
-                track = detected(one.track, rate, settings.rng(1, r, seed, k))
-                for method, outcome in outcomes(track, own).items():
+            for k, (track, own) in enumerate(zip(everyone.values(), fitted, strict=True)):
+                observed = detected(track, rate, settings.rng(1, r, seed, k))
+                for method, outcome in outcomes(observed, own).items():
                     empty = np.full((seeds, len(everyone), 2), np.nan)
                     found.setdefault((rate, method), empty)[seed, k] = outcome
-                progress(1)
+                settings.progress(1)
     return found
 
 
@@ -399,158 +361,132 @@ def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None
     return float(np.median(ratios)), float(np.std(ratios.mean(axis=0))), seeds
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """Run the experiment; without the recordings return a note."""
+def _parts(settings: Settings) -> Parts:
     everyone = chosen(settings)
     if len(everyone) < FOLDS:
         where = "no folder is named" if settings.data is None else f"looked for in {settings.data / 'caviar'}"
-        note = (
+        yield (
             f"nothing to judge: CAVIAR's recordings are missing ({where}; --data names the folder that has "
             f"caviar in it); found {len(everyone)} people with {LEAST_LABELS} labelled heads or more, "
             "two are needed"
         )
-        return Reproduction("baxter-caviar", (), None, (note,))
-    fitted = fit_folds(everyone, settings, progress)
-    found = judge(everyone, fitted, settings, progress)
-    controls = control_gains(
-        [one.track for one in everyone],
-        2 if settings.quick else 10,
-        lambda control, time: settings.rng(2, control, time),
+        return
+    settings.expect(FOLDS * FITS + len(everyone) * sum(seeds_at(rate, settings) for rate in RATES) + 1)
+    fitted = fit_folds(everyone, settings)
+    found = judge(everyone, fitted, settings)
+    changed = control_gains(
+        list(everyone.values()), settings.few(10, 2), lambda c, time: settings.rng(2, c, time)
     )
-    progress(1)
+    settings.progress(1)
+    yield Table.of(
+        "People with labelled heads; ε = direction of travel − head, as in baxter-statistics",
+        (_person(name, track) for name, track in everyone.items()),
+    )
+    detail = Table.of(
+        "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ",
+        _detail(found, everyone),
+    )
+    yield detail
+    yield Table.of("Where the gains come from: one thing changed at a time, all detected", changed)
+    yield Table.of(
+        "Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video",
+        (
+            {
+                "detection %": row["detection %"],
+                "paper: CLL gain": PAPER[int(row["detection %"] or 0)],
+                "ours": row["method"],
+                **{name: row[name] for name in ("CLL gain", "MSE gain", "MSE gain over kf fitted")},
+            }
+            for row in detail.records()
+            if row["method"] != "kf"
+        ),
+    )
+    yield from _panels(detail, changed)
     stds = [own.kalman.likelihood.position_std for own in fitted[:FOLDS]]
     rates = [own.rate for own in fitted[:FOLDS]]
-    detail = _detail(found, everyone)
-    return Reproduction(
-        "baxter-caviar",
-        (_people(everyone), detail, _controls(controls), _published_table(found)),
-        page(_panels(detail, controls), columns=2),
-        (
-            "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
-            "Without a detection the head is missing too. The body is never observed.",
-            "printed and consistent have Baxter et al.'s parameters (Q = 0.1·I, R = 0.5·I). The "
-            "others are fitted on "
-            f"the other half of the people: 1 σ of the positions {stds[0]:.2g} and {stds[1]:.2g} m, where "
-            f"Baxter et al.'s R is 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
-            "CLL gains have no meaning for methods whose log-likelihood is positive, as it is once the noise "
-            "is fitted: nats a detection are to be compared, between fitted methods.",
-            "What the CLL gain is made of: heads turned around or drawn at random give nearly the same one. "
-            "Where innovations are far below what R expects, it is the ratio of the log-determinants of "
-            "their covariances, which any prior narrows, and it depends on the unit.",
-            "What the MSE loss is made of: R. With Baxter et al.'s Q and R its filter corrects 36 % "
-            "of an innovation, "
-            "the Kalman filter 65 %, so that what the head gets wrong stays for three frames. With R that of "
-            "the labels, or with noise like R's, the loss is gone; with heads along the travel, or with "
-            "deviations that are new at every frame, it is not.",
-        ),
+    yield (
+        "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
+        "Without a detection the head is missing too. The body is never observed."
+    )
+    yield (
+        "printed and consistent have Baxter et al.'s parameters (Q = 0.1·I, R = 0.5·I). The others are "
+        f"fitted on the other half of the people: 1 σ of the positions {stds[0]:.2g} and {stds[1]:.2g} m, "
+        f"where Baxter et al.'s R is 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s."
+    )
+    yield (
+        "CLL gains have no meaning for methods whose log-likelihood is positive, as it is once the noise "
+        "is fitted: nats a detection are to be compared, between fitted methods."
+    )
+    yield (
+        "What the CLL gain is made of: heads turned around or drawn at random give nearly the same one. "
+        "Where innovations are far below what R expects, it is the ratio of the log-determinants of "
+        "their covariances, which any prior narrows, and it depends on the unit."
+    )
+    yield (
+        "What the MSE loss is made of: R. With Baxter et al.'s Q and R its filter corrects 36 % of an "
+        "innovation, the Kalman filter 65 %, so that what the head gets wrong stays for three frames. With R "
+        "that of the labels, or with noise like R's, the loss is gone; with heads along the travel, or with "
+        "deviations that are new at every frame, it is not."
     )
 
 
-@tabulated("People with labelled heads; ε = direction of travel − head, as in baxter-statistics")
-def _people(everyone: Sequence[Person]) -> Records:
-    for one in everyone:
-        track = one.track
-        mean, std = deviation(track)
-        steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
-        speed = np.linalg.norm(travel_velocity(track), axis=1)
+def _person(name: str, track: Track) -> Row:
+    mean, std = deviation(track)
+    steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
+    speed = np.linalg.norm(travel_velocity(track), axis=1)
+    return {
+        "person": name,
+        "frames": len(track),
+        "heads": int(np.isfinite(np.asarray(track.head)).sum()),
+        "speed (m/s)": float(np.nanmedian(speed)),
+        "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
+        "relabelled (1/s)": relabelled_rate(track),
+        "ε, mean (°)": float(np.degrees(mean)),
+        "ε, std (°)": float(np.degrees(std)),
+    }
+
+
+def _detail(found: Outcomes, everyone: People) -> Iterator[Row]:
+    frames = sum(len(track) - 1 for track in everyone.values())
+    for rate, method in product(RATES, ("kf", *METHODS)):
+        error, likelihood = (spread(ratios) for ratios in gains(found, rate, method))
+        fair, _ = gains(found, rate, method, over="kf fitted")
+        sums = found[rate, method].sum(axis=1).mean(axis=0)
         yield {
-            "person": one.name,
-            "frames": len(track),
-            "heads": int(np.isfinite(np.asarray(track.head)).sum()),
-            "speed (m/s)": float(np.nanmedian(speed)),
-            "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
-            "relabelled (1/s)": relabelled_rate(track),
-            "ε, mean (°)": float(np.degrees(mean)),
-            "ε, std (°)": float(np.degrees(std)),
+            "detection %": round(100 * rate),
+            "method": method,
+            "RMSE (m)": float(np.sqrt(sums[0] / frames)),
+            "MSE gain": error[0],
+            "± people": error[1],
+            "± seeds": error[2],
+            "MSE gain over kf fitted": float(np.median(fair)),
+            "nats a detection": float(sums[1] / (rate * frames)),
+            "CLL gain": likelihood[0],
+            "± people ": likelihood[1],
+            "± seeds ": likelihood[2],
         }
 
 
-@tabulated("Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ")
-def _detail(found: Outcomes, everyone: Sequence[Person]) -> Records:
-    frames = sum(len(one.track) - 1 for one in everyone)
-    for rate in RATES:
-        for method in ("kf", *METHODS):
-            error, likelihood = (spread(ratios) for ratios in gains(found, rate, method))
-            fair, _ = gains(found, rate, method, over="kf fitted")
-            sums = found[rate, method].sum(axis=1).mean(axis=0)
-            yield {
-                "detection %": round(100 * rate),
-                "method": method,
-                "RMSE (m)": float(np.sqrt(sums[0] / frames)),
-                "MSE gain": error[0],
-                "± people": error[1],
-                "± seeds": error[2],
-                "MSE gain over kf fitted": float(np.median(fair)),
-                "nats a detection": float(sums[1] / (rate * frames)),
-                "CLL gain": likelihood[0],
-                "± people ": likelihood[1],
-                "± seeds ": likelihood[2],
-            }
-
-
-@tabulated("Where the gains come from: one thing changed at a time, all detected")
-def _controls(controls: Sequence[ControlGain]) -> Records:
-    for control in CONTROLS:
-        record: dict[str, Cell] = {"what is changed": control.name}
-        for gain in controls:
-            if gain.control == control.name:
-                record[f"{gain.method}: MSE gain"] = float(np.median(gain.error))
-                record[f"{gain.method}: CLL gain"] = float(np.median(gain.likelihood))
-        yield record
-
-
-@tabulated("Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video")
-def _published_table(found: Outcomes) -> Records:
-    for rate in RATES:
-        for method in METHODS:
-            error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))
-            fair = float(np.median(gains(found, rate, method, over="kf fitted")[0]))
-            yield {
-                "detection %": round(100 * rate),
-                "paper: CLL gain": PAPER[rate],
-                "ours": method,
-                "CLL gain": likelihood,
-                "MSE gain": error,
-                "MSE gain over kf fitted": fair,
-            }
-
-
-def _panels(detail: Table, controls: Sequence[ControlGain]) -> list[Panel]:
+def _panels(detail: Table, changed: Sequence[Row]) -> Iterator[Panel]:
     rows = [row for row in detail.records() if row["method"] != "kf"]
-    own = [row for row in rows if row["method"] in OWN]
+    own = [row for row in rows if row["method"] in OWN_FILTERS]
     x, by, over = "detection %", "method", "gain over Baxter et al.'s Kalman filter"
-    changed: list[dict[str, Cell]] = [
-        {
-            "control": one.control,
-            "method": one.method,
-            "MSE gain": float(np.median(one.error)),
-            "CLL gain": float(np.median(one.likelihood)),
-        }
-        for one in controls
-    ]
-    return [
-        Panel(f"MSE {over}", rows, x, "MSE gain", by, spread="± people", level=1.0),
-        Panel(f"CLL {over}", own, x, "CLL gain", by, spread="± people ", level=1.0),
-        *(
-            Panel(f"{name} gain, one thing changed", changed, "control", f"{name} gain", by, level=1.0)
-            for name in ("MSE", "CLL")
-        ),
-    ]
-
-
-def work(settings: Settings) -> int:
-    """Fits, people at each rate and seed, and the controls."""
-    count = len(chosen(settings))
-    if count < FOLDS:
-        return 1
-    return FOLDS * FITS + count * sum(seeds_at(rate, settings) for rate in RATES) + 1
+    yield Panel(f"MSE {over}", rows, x, "MSE gain", by, spread="± people", level=1.0)
+    yield Panel(f"CLL {over}", own, x, "CLL gain", by, spread="± people ", level=1.0)
+    for gain in ("MSE gain", "CLL gain"):
+        cells: list[Row] = [
+            {"control": row["what is changed"], "method": method, gain: row[f"{method}: {gain}"]}
+            for row in changed
+            for method in OWN_FILTERS
+        ]
+        yield Panel(f"{gain}, one thing changed", cells, "control", gain, by, level=1.0)
 
 
 EXPERIMENT = Experiment(
     "baxter-caviar",
     "Baxter et al. 2014, Fig. 5(a): CAVIAR with labelled heads, gain over the Kalman filter by "
     "detection rate",
-    work,
-    run,
     f"{QUICK_PEOPLE} people, {QUICK_FRAMES} frames of each",
+    _parts,
+    columns=2,
 )

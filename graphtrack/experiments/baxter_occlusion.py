@@ -5,8 +5,10 @@ Each method has the parameters that minimise its own error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +27,11 @@ from graphtrack.experiments.harness import (
     LAG,
     MOCAP,
     TURNING,
-    Cell,
     Experiment,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
     Table,
     evenly,
@@ -38,8 +39,6 @@ from graphtrack.experiments.harness import (
     from_the_past,
     interval_cells,
     model_of,
-    page,
-    tabulated,
     thinned,
     with_density,
 )
@@ -292,39 +291,47 @@ def _windows(
     return pairs
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+def _parts(settings: Settings) -> Parts:
     effort = QUICK if settings.quick else FULL
+    runs = 2 * (len(ONLINE) + len(OFFLINE))
+    settings.expect((FITS + runs) * (2 if settings.recording(*MOCAP) else 1))
     found = []
     for case in cases(settings):
-        methods = fitted(case.training, effort, progress)
+        methods = fitted(case.training, effort, settings.progress)
         hidden = [(withhold(t, w, ("head", "head_kappa")), w) for t, w in case.judged]
         for head, pairs in (("visible", case.judged), ("hidden", hidden)):
             errors = {}
             for name, predictor in methods.items():
                 errors[name] = error_of(predictor, pairs)
-                progress(1)
+                settings.progress(1)
             found.append(WindowErrors(case, head, errors))
     rng = settings.rng(99)
-    detail = _detail(found, rng)
-    return Reproduction(
-        "baxter-occlusion",
-        (detail, trajectories(found), _published_table(found, rng)),
-        page(_panels(detail), columns=2),
-        (
-            "Position and body are withheld in the window, the head as in the table. The body is unobserved.",
-            "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
-            "al.'s own for "
-            "printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
-            "95 % bootstrap interval over five tracks or more; below −100 % the error is more than twice as "
-            "large.",
-            "Baxter et al.'s own filters count frames as steps, 10 a second on mocap and 4 on the corpus.",
-            "Every method but Baxter et al.'s own three has the parameters that do best in windows "
-            "of other tracks, "
-            "the head visible. In joint-intentional the head steers the velocity as in intentional.",
-            f"{effort.particles:,} particles online and {effort.smoother_particles:,} in ffbs, the particle "
-            "smoother: after a gap few of them can have led to what came next.",
-        ),
+    detail = Table.of("Error in the withheld window", _detail(found, rng))
+    yield detail
+    yield trajectories(found)
+    yield Table.of("Paper / ours: reduction of the MSE in the window, head visible", _published(found, rng))
+    for data in dict.fromkeys(errors.case.name for errors in found):
+        rows = [row for row in detail.records() if row["data"] == data]
+        online = [row for row in rows if row["group"] == "online" and row["method"] not in ("kf", "printed")]
+        offline = [row for row in rows if row["group"] == "offline"]
+        title, ends = f"{data}: MSE below the Kalman filter's (%)", ("low", "high")
+        yield Panel(title, online, "head", "reduction %", "method", ends, level=0.0, least=-60.0)
+        yield Panel(f"{data}: RMSE (m), offline", offline, "head", "RMSE (m)", "method")
+    yield "Position and body are withheld in the window, the head as in the table. The body is unobserved."
+    yield (
+        "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et al.'s own "
+        "for printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
+        "95 % bootstrap interval over five tracks or more; below −100 % the error is more than twice as "
+        "large."
+    )
+    yield "Baxter et al.'s own filters count frames as steps, 10 a second on mocap and 4 on the corpus."
+    yield (
+        "Every method but Baxter et al.'s own three has the parameters that do best in windows of other "
+        "tracks, the head visible. In joint-intentional the head steers the velocity as in intentional."
+    )
+    yield (
+        f"{effort.particles:,} particles online and {effort.smoother_particles:,} in ffbs, the particle "
+        "smoother: after a gap few of them can have led to what came next."
     )
 
 
@@ -336,8 +343,7 @@ def reference(errors: WindowErrors, method: str) -> FloatArray:
     return errors.by_method["kf" if method in OWN_FILTERS else errors.case.reference]
 
 
-@tabulated("Error in the withheld window")
-def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
+def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Iterator[Row]:
     for errors in found:
         for method, own in errors.by_method.items():
             interval = bootstrap(reduction, own, reference(errors, method), rng=rng)
@@ -356,54 +362,41 @@ def trajectories(found: Sequence[WindowErrors]) -> Table:
     """Baxter et al.'s seven trajectories next to our seven that turn most in the window, head
     visible."""
     errors = [one for one in found if one.head == "visible"][-1]
-    turns = np.array([_turn(track, window) for track, window in errors.case.judged])
+    labels = [track.label or f"track {track.track_id}" for track, _ in errors.case.judged]
+    # 0 without motion.
+    turns = np.array([np.nanmax(turning(track)[window], initial=0.0) for track, window in errors.case.judged])
     sharpest = np.argsort(-turns, kind="stable")[: len(PAPER)]
-    reductions = {
+    own = {
         method: 100.0 * (1.0 - errors.by_method[method] / reference(errors, method))
         for method in (*OWN_FILTERS, "intentional", *GRAPHS)
     }
-    records: list[dict[str, Cell]] = []
-    for (number, paper), k in zip(PAPER.items(), sharpest, strict=False):
-        track = errors.case.judged[k][0]
-        head: dict[str, Cell] = {
-            "paper: trajectory": str(number),
+
+    def row(number: str, paper: float, ours: str, turn: float, of: Callable[[FloatArray], Any]) -> Row:
+        return {
+            "paper: trajectory": number,
             "paper: reduction (%)": paper,
-            "ours": track.label or f"track {track.track_id}",
-            "turn (°)": float(np.degrees(turns[k])),
+            "ours": ours,
+            "turn (°)": float(np.degrees(turn)),
+            **{name: float(of(reductions)) for name, reductions in own.items()},
         }
-        records.append(head | {method: float(own[k]) for method, own in reductions.items()})
-    mean: dict[str, Cell] = {
-        "paper: trajectory": "mean",
-        "paper: reduction (%)": float(np.mean(list(PAPER.values()))),
-        "ours": f"mean of these {len(records)}",
-        "turn (°)": float(np.degrees(turns[sharpest].mean())),
-    }
-    won: dict[str, Cell] = {
-        "paper: trajectory": "improved",
-        "paper: reduction (%)": 100.0,
-        "ours": f"share of all {len(turns)} that is improved (%)",
-        "turn (°)": float(np.degrees(turns.mean())),
-    }
-    records.append(mean | {method: float(own[sharpest].mean()) for method, own in reductions.items()})
-    records.append(won | {method: 100.0 * float(np.mean(own > 0.0)) for method, own in reductions.items()})
+
+    rows = [
+        row(str(number), paper, labels[k], turns[k], itemgetter(k))
+        for (number, paper), k in zip(PAPER.items(), sharpest.tolist(), strict=False)
+    ]
+    mean, turn = float(np.mean(list(PAPER.values()))), turns[sharpest].mean()
+    rows.append(row("mean", mean, f"mean of these {len(rows)}", turn, lambda v: v[sharpest].mean()))
+    improved = f"share of all {len(turns)} that is improved (%)"
+    rows.append(row("improved", 100.0, improved, turns.mean(), lambda v: 100.0 * np.mean(v > 0.0)))
     title = f"Reduction of the MSE (%) trajectory by trajectory, {errors.case.name}, head visible"
-    return Table.of(title, records)
+    return Table.of(title, rows)
 
 
-def _turn(track: Track, window: BoolArray) -> float:
-    """Return the sharpest turn in the window, radians; 0 without motion."""
-    found = turning(track)[window]
-    return float(np.nanmax(found, initial=0.0))
-
-
-@tabulated("Paper / ours: reduction of the MSE in the window, head visible")
-def _published_table(found: Sequence[WindowErrors], rng: np.random.Generator) -> Records:
+def _published(found: Sequence[WindowErrors], rng: np.random.Generator) -> Iterator[Row]:
     """Baxter et al.'s mean over seven trajectories next to our reductions, head visible."""
     for errors in found:
-        if errors.head == "hidden":
-            continue
-        for method in ONLINE:
-            if method in ("kf", "kf fitted") or method not in errors.by_method:
+        for method in ONLINE if errors.head == "visible" else ():
+            if method in ("kf", "kf fitted"):
                 continue
             own, base = errors.by_method[method], reference(errors, method)
             interval = bootstrap(reduction, own, base, rng=rng)
@@ -417,30 +410,10 @@ def _published_table(found: Sequence[WindowErrors], rng: np.random.Generator) ->
             }
 
 
-def _panels(detail: Table) -> list[Panel]:
-    panels = []
-    for data in dict.fromkeys(row["data"] for row in detail.records()):
-        rows = [row for row in detail.records() if row["data"] == data]
-        online = [row for row in rows if row["group"] == "online" and row["method"] not in ("kf", "printed")]
-        offline = [row for row in rows if row["group"] == "offline"]
-        title = f"{data}: MSE below the Kalman filter's (%)"
-        panels.append(
-            Panel(title, online, "head", "reduction %", "method", ("low", "high"), level=0.0, least=-60.0)
-        )
-        panels.append(Panel(f"{data}: RMSE (m), offline", offline, "head", "RMSE (m)", "method"))
-    return panels
-
-
-def work(settings: Settings) -> int:
-    """Fits, and runs with the head visible and hidden."""
-    runs = 2 * (len(ONLINE) + len(OFFLINE))
-    return (FITS + runs) * (2 if settings.recording(*MOCAP) else 1)
-
-
 EXPERIMENT = Experiment(
     "baxter-occlusion",
     "Baxter et al. 2014, Table I: prediction through a window withheld at each sharp turn",
-    work,
-    run,
     "12 simulated people and 15 clips of motion capture",
+    _parts,
+    columns=2,
 )

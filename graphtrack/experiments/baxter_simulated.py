@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from graphtrack.experiments.harness import (
     Experiment,
     Fitted,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
     Table,
     fit,
@@ -26,9 +27,7 @@ from graphtrack.experiments.harness import (
     graph_predictions,
     interval_cells,
     model_of,
-    page,
     squared_error,
-    tabulated,
     with_density,
 )
 from graphtrack.experiments.harness import PREDICTED as METHODS
@@ -63,23 +62,14 @@ class Gain:
     nats: FloatArray
 
 
-def tracks_of_graph(settings: Settings) -> int:
-    """Tracks of each behaviour and rate that the graph follows online; it is the slowest."""
-    return 1 if settings.quick else 12
-
-
 def steered(corpus: Corpus, parameters: Parameters, rate: float) -> FilteredStates:
     """The intentional tracker in continuous time on all tracks; the Kalman filter with a rate of 0."""
+    t = np.arange(corpus.head.shape[1], dtype=np.float64) * corpus.parameters.step_seconds
     variance = np.full(corpus.head.shape, corpus.parameters.observation_std**2)
-    return steer(corpus.position, corpus.head, _seconds(corpus), variance, parameters, rate)
+    return steer(corpus.position, corpus.head, t, variance, parameters, rate)
 
 
-def _seconds(corpus: Corpus) -> FloatArray:
-    """Times (n,) of the corpus's steps."""
-    return np.arange(corpus.truth.shape[1], dtype=np.float64) * corpus.parameters.step_seconds
-
-
-def fit_methods(settings: Settings, progress: Progress) -> Fitted:
+def fit_methods(settings: Settings) -> Fitted:
     """Each method's parameters, those that make the innovations of training tracks most likely."""
     training = [
         simulate_behaviour(b, CorpusParameters(tracks=10), rng=settings.rng(9, b)).detected(
@@ -87,25 +77,23 @@ def fit_methods(settings: Settings, progress: Progress) -> Fitted:
         )
         for b in range(len(NUMERALS))
     ]
-
-    position = np.concatenate([corpus.position for corpus in training])
-    head = np.concatenate([corpus.head for corpus in training])
-    variance, t = np.full(head.shape, training[0].parameters.observation_std ** 2), _seconds(training[0])
+    position, head = (
+        np.concatenate([getattr(one, name) for one in training]) for name in ("position", "head")
+    )
+    everyone = replace(training[0], position=position, head=head)
 
     def cost(density: float, rate: float) -> float:
-        found = steer(position, head, t, variance, with_density(Parameters(), density), rate)
+        found = steered(everyone, with_density(Parameters(), density), rate)
         return -float(np.nanmean(found.log_likelihood))
 
     kalman = with_density(Parameters(), *fit(lambda q: cost(q, 0.0), [0.1], evaluations=25))
     density, rate = fit(cost, [0.1, 1.0], evaluations=40)
-    people = [p for corpus in training for p in corpus.tracks(1 if settings.quick else 4)]
-    starts = {"graph joint": (density, 3.0), "graph joint-intentional": (density, 3.0, rate)}
-    graphs = {
-        method: fitted_graph(
-            model_of(GRAPHS[method]), people, start, FIT_UNITS[method] // (1 + settings.quick), progress
-        )
-        for method, start in starts.items()
-    }
+    people = [p for corpus in training for p in corpus.tracks(settings.few(4))]
+    graphs = {}
+    for method, more in (("graph joint", ()), ("graph joint-intentional", (rate,))):
+        units = FIT_UNITS[method] // settings.few(1, 2)
+        make, start = model_of(GRAPHS[method]), (density, 3.0, *more)
+        graphs[method] = fitted_graph(make, people, start, units, settings.progress)
     return Fitted(kalman, with_density(Parameters(), density), rate, graphs)
 
 
@@ -116,8 +104,6 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     likelihood that of the cumulative log-likelihoods of the innovations; above 1 the method is better.
     """
     reference = intentional_filter(corpus.position, None)
-    error = squared_error(reference.predicted_mean[..., :2], corpus.truth)
-    likelihood = np.nansum(reference.log_likelihood, axis=1)
     count = np.isfinite(reference.log_likelihood).sum(axis=1)
     runs = {
         method: intentional_filter(corpus.position, corpus.head, parameters)
@@ -125,42 +111,50 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     }
     runs["kf fitted"] = steered(corpus, fitted.kalman, 0.0)
     runs["intentional"] = steered(corpus, fitted.intentional, fitted.rate)
-    found = [
-        Gain(
-            corpus.behaviour,
-            rate,
-            method,
-            error / squared_error(run.predicted_mean[..., :2], corpus.truth),
-            likelihood / np.nansum(run.log_likelihood, axis=1),
-            np.nansum(run.log_likelihood, axis=1) / count,
-        )
-        for method, run in runs.items()
-    ]
-    by_graph: dict[str, list[tuple[FloatArray, float]]] = {}
+
+    def outcome(run: FilteredStates) -> tuple[FloatArray, FloatArray]:
+        """Sums of squared errors and of log-likelihoods, one number a track."""
+        error = squared_error(run.predicted_mean[..., :2], corpus.truth)
+        return error, np.nansum(run.log_likelihood, axis=1)
+
+    outcomes = {method: outcome(run) for method, run in runs.items()}
+    by_graph: dict[str, list[tuple[float, float]]] = {}
     for track in corpus.tracks(people):
         for method, predicted, logs in graph_predictions(track, fitted.graphs):
-            own = squared_error(predicted, track.true_position), float(np.nansum(logs))
+            own = float(squared_error(predicted, track.true_position)), float(np.nansum(logs))
             by_graph.setdefault(method, []).append(own)
             progress(1)
     for method, of_tracks in by_graph.items():
         errors, sums = np.array(of_tracks).T
-        ratios = error[:people] / errors, likelihood[:people] / sums
-        found.append(Gain(corpus.behaviour, rate, method, *ratios, sums / count[:people]))
-    return found
+        outcomes[method] = errors, sums
+    error, likelihood = outcome(reference)
+    return [
+        Gain(
+            corpus.behaviour,
+            rate,
+            method,
+            error[: len(errors)] / errors,
+            likelihood[: len(errors)] / sums,
+            sums / count[: len(errors)],
+        )
+        for method, (errors, sums) in outcomes.items()
+    ]
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
-    fitted = fit_methods(settings, progress)
-    parameters = CorpusParameters(tracks=60 if settings.quick else 500)
-    people, found, names = tracks_of_graph(settings), [], []
+def _parts(settings: Settings) -> Parts:
+    people, fits = settings.few(12), sum(FIT_UNITS.values()) // settings.few(1, 2)
+    settings.expect(fits + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * people)
+    fitted = fit_methods(settings)
+    parameters = CorpusParameters(tracks=settings.few(500, 60))
+    found: list[Gain] = []
+    names = []
     for behaviour in range(len(NUMERALS)):
         everyone = simulate_behaviour(behaviour, parameters, rng=settings.rng(1, behaviour))
         names.append(everyone.name)
         for k, rate in enumerate(RATES):
             corpus = everyone.detected(rate, settings.rng(2, behaviour, k))
-            found += gains(corpus, rate, fitted, people, progress)
-    records: list[dict[str, Cell]] = [
+            found += gains(corpus, rate, fitted, people, settings.progress)
+    records: list[Row] = [
         {
             "behaviour": names[gain.behaviour],
             "detection %": round(100 * gain.rate),
@@ -173,40 +167,41 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         }
         for gain in found
     ]
-    detail = Table.of(
+    yield Table.of(
         "Gain over the Kalman filter of Baxter et al. 2014 (Q = 0.1·I, R = 0.5·I): ratios, above 1 is better",
         records,
     )
-    panels = [
-        Panel(
+    yield from paired(found, names, settings.rng(98))
+    yield Table.of(
+        "Paper / ours: medians over the tracks of a behaviour, the least and greatest of them",
+        (_published(found, rate, method) for rate in RATES for method in METHODS),
+    )
+    for name, rate in product(("MSE", "CLL"), RATES):
+        yield Panel(
             f"{name} gain over the Kalman filter, {rate:.0%} detected",
             [record for record in records if record["detection %"] == round(100 * rate)],
             *("behaviour", f"{name} gain, median", "method"),
             spread=f"{name} gain, std",
             level=1.0,
         )
-        for name in ("MSE", "CLL")
-        for rate in RATES
-    ]
     joint, steered = (fitted.graphs[method].parameters.motion for method in GRAPHS)
-    return Reproduction(
-        "baxter-simulated",
-        (detail, *paired(found, names, settings.rng(98)), _published_table(found)),
-        page(panels),
-        (
-            "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the "
-            "innovations.",
-            "printed and consistent have Baxter et al.'s parameters. The others are fitted on other "
-            "tracks: q of the "
-            f"graphs {joint.acceleration_density:.3g} and {steered.acceleration_density:.3g} m²/s³, λ of the "
-            f"tracker {fitted.rate:.3g} 1/s and of joint-intentional {steered.head_rate:.3g} 1/s.",
-            "Graphs against the fitted tracker: on the tracks that the graphs follow. Ratio of the squared "
-            "errors: geometric mean over the tracks, below 1 the graph is better; nats a detection: above 0 "
-            "the graph is better. A cell is a behaviour at a detection rate; clearly: by its 95 % interval.",
-            "Without a detection the head is missing too. All use positions and head, but the Kalman filters "
-            "positions only. In joint-intentional the head steers the velocity as it does in the tracker; in "
-            "joint it does not.",
-        ),
+    yield (
+        "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the innovations."
+    )
+    yield (
+        "printed and consistent have Baxter et al.'s parameters. The others are fitted on other tracks: q of "
+        f"the graphs {joint.acceleration_density:.3g} and {steered.acceleration_density:.3g} m²/s³, λ of the "
+        f"tracker {fitted.rate:.3g} 1/s and of joint-intentional {steered.head_rate:.3g} 1/s."
+    )
+    yield (
+        "Graphs against the fitted tracker: on the tracks that the graphs follow. Ratio of the squared "
+        "errors: geometric mean over the tracks, below 1 the graph is better; nats a detection: above 0 "
+        "the graph is better. A cell is a behaviour at a detection rate; clearly: by its 95 % interval."
+    )
+    yield (
+        "Without a detection the head is missing too. All use positions and head, but the Kalman filters "
+        "positions only. In joint-intentional the head steers the velocity as it does in the tracker; in "
+        "joint it does not."
     )
 
 
@@ -246,7 +241,7 @@ def paired(found: Sequence[Gain], names: Sequence[str], rng: np.random.Generator
     )
 
 
-def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
+def _counted(method: str, cells: Sequence[Row]) -> dict[str, Cell]:
     """Numbers of cells that a method wins and loses, and of those outside the interval."""
 
     def column(name: str) -> FloatArray:
@@ -269,39 +264,33 @@ def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell
     }
 
 
-@tabulated("Paper / ours: medians over the tracks of a behaviour, the least and greatest of them")
-def _published_table(found: Sequence[Gain]) -> Records:
-    """Statements of Baxter et al. (2014), and the least and greatest of our medians over the
-    behaviours."""
-    published = {
-        1.0: "above 1 on all seven trajectories, both measures",
-        0.8: "above 1 (Fig. 5, simulated)",
-        0.6: "above 1 (Fig. 5, simulated); video + 12 %",
+PUBLISHED = {
+    1.0: "above 1 on all seven trajectories, both measures",
+    0.8: "above 1 (Fig. 5, simulated)",
+    0.6: "above 1 (Fig. 5, simulated); video + 12 %",
+}
+
+
+def _published(found: Sequence[Gain], rate: float, method: str) -> Row:
+    """A statement of Baxter et al. (2014), the least and greatest of our medians over the behaviours."""
+    own = [gain for gain in found if gain.method == method and gain.rate == rate]
+    errors = [float(np.median(gain.error)) for gain in own]
+    sums = [float(np.median(gain.likelihood)) for gain in own]
+    return {
+        "detection %": round(100 * rate),
+        "paper (intentional tracker)": PUBLISHED[rate],
+        "ours": method,
+        "MSE gain, least": min(errors),
+        "MSE gain, greatest": max(errors),
+        "CLL gain, least": min(sums),
+        "CLL gain, greatest": max(sums),
+        "behaviours won, of 7": sum(e > 1.0 and s > 1.0 for e, s in zip(errors, sums, strict=True)),
     }
-    for rate in RATES:
-        for method in METHODS:
-            own = [gain for gain in found if gain.method == method and gain.rate == rate]
-            errors = [float(np.median(gain.error)) for gain in own]
-            sums = [float(np.median(gain.likelihood)) for gain in own]
-            yield {
-                "detection %": round(100 * rate),
-                "paper (intentional tracker)": published[rate],
-                "ours": method,
-                "MSE gain, least": min(errors),
-                "MSE gain, greatest": max(errors),
-                "CLL gain, least": min(sums),
-                "CLL gain, greatest": max(sums),
-                "behaviours won, of 7": sum(e > 1.0 and s > 1.0 for e, s in zip(errors, sums, strict=True)),
-            }
 
 
 EXPERIMENT = Experiment(
     "baxter-simulated",
     "Baxter et al. 2014, Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
-    lambda settings: (
-        sum(FIT_UNITS.values()) // (1 + settings.quick)
-        + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
-    ),
-    run,
     "60 tracks of each behaviour for the filters, 1 for the graphs",
+    _parts,
 )

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import circmean
 
-from graphtrack.errors import InputError, InputWarning
 from graphtrack.experiments.harness import (
     CAVIAR,
     GAITS,
     MOCAP,
     SALSA,
-    Cell,
     Experiment,
-    Progress,
-    Records,
-    Reproduction,
+    Parts,
+    Row,
     Settings,
     Table,
-    tabulated,
 )
-from graphtrack.geometry.angles import FloatArray, circular_mean, difference, direction
+from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import MOVING_SPEED
@@ -125,7 +121,7 @@ def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
     known = angles[np.isfinite(angles)]
     if not len(known):
         return float("nan"), float("nan")
-    mean = circular_mean(known)
+    mean = float(circmean(known, high=np.pi, low=-np.pi))
     return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
 
 
@@ -151,32 +147,18 @@ def future_share(tracks: Iterable[Track]) -> float:
 
 
 def deviation_statistics(
-    tracks: Iterable[Track],
-    name: str,
-    *,
-    window: int = WINDOW_FRAMES,
-) -> DeviationStatistics:
-    """Mean, spread and histogram of the deviations of many people.
-
-    Warns
-    -----
-    InputWarning
-        If the head column is a function of the future path, as the gaze in UCY is.
-
-    Raises
-    ------
-    InputError
-        If no person moves with a known head.
-    """
+    tracks: Iterable[Track], name: str, *, window: int = WINDOW_FRAMES
+) -> DeviationStatistics | None:
+    """Mean, spread and histogram of the deviations of many people; None if nobody moves with a known head."""
     tracks = list(tracks)
     deviations = [head_deviation(track, window=window) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
-        raise InputError(f"no person in {name} who moves with a known head", "tracks with positions and head")
+        return None
     mean, std = _mean_and_spread(pooled)
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
-    found = DeviationStatistics(
+    return DeviationStatistics(
         name=name,
         people=sum(bool(len(own)) for own in deviations),
         frames=len(pooled),
@@ -185,77 +167,70 @@ def deviation_statistics(
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )
-    if found.leaks_the_future:
-        warnings.warn(
-            f"{name}: {found.future:.0%} of the heads are exactly the direction to a later position; "
-            "they were computed from the path and reveal its future to a tracker",
-            InputWarning,
-            stacklevel=2,
-        )
-    return found
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment: on the recordings that are there, and on the corpus."""
-    found: list[DeviationStatistics] = []
-    notes = [
-        f"ε = direction of the {WINDOW_FRAMES}-frame mean velocity − head, where people move at 0.3 m/s or "
-        "more; circular mean, root mean square about it.",
-    ]
-
-    def add(tracks: TrackSet, name: str, window: int = WINDOW_FRAMES) -> None:
-        try:
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always", InputWarning)
-                found.append(deviation_statistics(tracks, name, window=window))
-            notes.extend(str(warning.message) for warning in caught)
-        except InputError as error:
-            notes.append(f"{name} is left out: found {error.found}")
-        progress(1)
-
-    clips = settings.tracks(*MOCAP)
+def _sources(settings: Settings) -> Iterator[tuple[str, TrackSet, int]]:
+    """Names, people and windows, of the recordings that are there and of the corpus."""
+    clips, caviar, salsa = (settings.tracks(*of) for of in (MOCAP, CAVIAR, SALSA))
     if clips is not None:
-        for name, patterns in GAITS.items():
-            add(clips.select(*patterns), name)
-    caviar, salsa = settings.tracks(*CAVIAR), settings.tracks(*SALSA)
+        yield from ((name, clips.select(*patterns), WINDOW_FRAMES) for name, patterns in GAITS.items())
     if caviar is not None:
-        add(caviar, "CAVIAR mws1gt")
+        yield "CAVIAR mws1gt", caviar, WINDOW_FRAMES
     if salsa is not None:
         # At one row in three seconds a window of 24 frames would be more than a minute.
-        add(salsa, "SALSA, party", 2)
-        notes.append("SALSA has a frame every 3 s: its velocity is averaged over 2 frames.")
-    behaviours = range(0, len(NUMERALS), 3 if settings.quick else 1)
+        yield "SALSA, party", salsa, 2
     corpus = [
         track
-        for b in behaviours
+        for b in range(0, len(NUMERALS), settings.few(1, 3))
         for track in simulate_behaviour(b, CorpusParameters(tracks=20), rng=settings.rng(b)).tracks()
     ]
-    add(TrackSet(tuple(corpus)), "simulated corpus")
-    notes.append(
+    yield "simulated corpus", TrackSet(tuple(corpus)), WINDOW_FRAMES
+
+
+def _parts(settings: Settings) -> Parts:
+    yield (
+        f"ε = direction of the {WINDOW_FRAMES}-frame mean velocity − head, where people move at 0.3 m/s or "
+        "more; circular mean, root mean square about it."
+    )
+    sources, found = list(_sources(settings)), []
+    settings.expect(len(sources))
+    for name, tracks, window in sources:
+        one = deviation_statistics(tracks, name, window=window)
+        if one is None:
+            yield f"{name} is left out: found no person in {name} who moves with a known head"
+        else:
+            found.append(one)
+            if one.leaks_the_future:
+                yield (
+                    f"{name}: {one.future:.0%} of the heads are exactly the direction to a later position; "
+                    "they were computed from the path and reveal its future to a tracker"
+                )
+        if window != WINDOW_FRAMES:
+            yield f"SALSA has a frame every 3 s: its velocity is averaged over {window} frames."
+        settings.progress(1)
+    yield (
         "The numbers of Baxter et al.'s Fig. 2 stand in the picture only; its people are counted in the text."
     )
-    notes.append(
+    yield (
         "UCY is left out on purpose: most of its gaze is the direction to the next control point, the future."
     )
-    return Reproduction(
-        "baxter-statistics", (_detail(found), _published_table(found)), _figure(found), tuple(notes)
+    yield Table.of(
+        "Direction of travel minus head",
+        (
+            {
+                "data": one.name,
+                "people": one.people,
+                "frames": one.frames,
+                "mean (°)": float(np.degrees(one.mean)),
+                "std (°)": float(np.degrees(one.std)),
+                "within 22.5° (%)": 100.0 * _within(one, np.radians(22.5)),
+                "heads equal to a later direction (%)": 100.0 * one.future,
+            }
+            for one in found
+        ),
     )
-
-
-def _detail(found: list[DeviationStatistics]) -> Table:
-    records: list[dict[str, Cell]] = [
-        {
-            "data": one.name,
-            "people": one.people,
-            "frames": one.frames,
-            "mean (°)": float(np.degrees(one.mean)),
-            "std (°)": float(np.degrees(one.std)),
-            "within 22.5° (%)": 100.0 * _within(one, np.radians(22.5)),
-            "heads equal to a later direction (%)": 100.0 * one.future,
-        }
-        for one in found
-    ]
-    return Table.of("Direction of travel minus head", records)
+    yield Table.of("Paper / ours: the same statistic; only CAVIAR is the same source", _published(found))
+    yield _figure(found)
 
 
 def _within(one: DeviationStatistics, reach: float) -> float:
@@ -265,8 +240,7 @@ def _within(one: DeviationStatistics, reach: float) -> float:
     return float(one.density @ (high - low))
 
 
-@tabulated("Paper / ours: the same statistic; only CAVIAR is the same source")
-def _published_table(found: list[DeviationStatistics]) -> Records:
+def _published(found: list[DeviationStatistics]) -> Iterator[Row]:
     paper: dict[str, tuple[str, int]] = {
         "CAVIAR mws1gt": ("CAVIAR", 37),
         "mocap, walking": ("Benfold", 154),
@@ -314,16 +288,9 @@ def _figure(found: list[DeviationStatistics]) -> Figure:
     return figure
 
 
-def work(settings: Settings) -> int:
-    """Data sets."""
-    there = [settings.recording(*name) is not None for name in (MOCAP, CAVIAR, SALSA)]
-    return 1 + 3 * there[0] + there[1] + there[2]
-
-
 EXPERIMENT = Experiment(
     "baxter-statistics",
     "Baxter et al. 2014, Fig. 2: deviation of the head from the direction of travel",
-    work,
-    run,
     "60 simulated people; the recordings are whole",
+    _parts,
 )

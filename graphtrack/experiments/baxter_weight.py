@@ -3,7 +3,7 @@ constant one?"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,18 +16,17 @@ from graphtrack.experiments.harness import (
     Cell,
     Experiment,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
+    Table,
     evenly,
     fit,
     from_the_past,
     model_of,
     one_step_ahead,
-    page,
     paired,
-    tabulated,
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray
@@ -52,9 +51,6 @@ OBSERVED_EVERY = 5
 
 GROWTH, OFFSET = 1.5, 0.5
 """Start of the searches: |ρ| in 1/rad and τ in radians."""
-
-Score = Callable[..., FloatArray]
-"""Parameters → mean log-likelihood of the innovations of each track (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +86,7 @@ class Found:
 
 def sources(settings: Settings) -> list[Source]:
     """The corpus at two detection rates and, where it is there, motion capture."""
-    found, count = [], 1 if settings.quick else 6
+    found, count = [], settings.few(6)
     for share in (1.0, 0.6):
         parts: list[list[Track]] = []
         for stream, tracks in ((1, max(count // 3, 1)), (2, count)):
@@ -106,7 +102,7 @@ def sources(settings: Settings) -> list[Source]:
     if clips is None:
         return found
     for i, (name, patterns) in enumerate(GAITS.items()):
-        chosen = evenly(clips.select(*patterns).map(thinned), 6 if settings.quick else 80, 2.5)
+        chosen = evenly(clips.select(*patterns).map(thinned), settings.few(80, 6), 2.5)
         noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
         rare = [_thinned(track) for track in noisy]
         found.append(Source(name, 1.0, rare[::2], rare[1::2]))
@@ -194,68 +190,66 @@ def _rate(source: Source, sign: float, values: Sequence[float]) -> GrowingRate:
     return GrowingRate(rate, sign * growth, offset, source.seconds)
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+def _parts(settings: Settings) -> Parts:
+    evaluations, known = settings.few(35, 6), sources(settings)
+    settings.expect(len(known) * len(METHODS) * 9 * evaluations)
     results = {
-        (source.name, method): fitted(source, method, _evaluations(settings), progress)
-        for source in sources(settings)
+        (source.name, method): fitted(source, method, evaluations, settings.progress)
+        for source in known
         for method in METHODS
     }
-    published = _published_table(results, settings.rng(99))
-    panels = [
-        Panel(
-            f"{weight} − constant",
-            published.records(),
-            *("ours: data", f"{weight} − constant (nats)", "ours: method"),
-            ends=ends,
-            level=0.0,
-        )
-        for weight, ends in ENDS.items()
-    ]
-    return Reproduction(
-        "baxter-weight",
-        (_detail(results), published),
-        page(panels),
+    yield Table.of(
+        "Weight of the head: what was fitted, and log-likelihood of held-out tracks",
         (
-            "λ_t = 2λ/(1 + exp(−ρ(ŝ_t − τ))), ŝ the mean deviation of the observed head from the direction "
-            "of travel before each step: over 2.5 s on the corpus (Baxter et al.: eleven steps), 1 s on "
-            "motion capture. Constant: ρ = 0; grows: ρ > 0, as in Baxter et al.; falls: ρ < 0.",
-            "All parameters of each (q, λ, of the graph the strength of the couplings, then ρ and τ) are "
-            "those that make the innovations of other tracks most likely.",
-            "Motion capture: positions twice a second with 0.05 m of noise, heads ten times a second with "
-            "κ = 4. Differences in nats for an observed position, paired by track, with 95 % bootstrap "
-            "intervals.",
+            _detail(data, method, weight, found)
+            for (data, method), by_weight in results.items()
+            for weight, found in by_weight.items()
         ),
+    )
+    published = Table.of(
+        "Paper / ours: log-likelihood of held-out tracks, paired with a constant weight",
+        _published(results, settings.rng(99)),
+    )
+    yield published
+    for weight, ends in ENDS.items():
+        name = f"{weight} − constant"
+        rows = published.records()
+        yield Panel(name, rows, "ours: data", f"{name} (nats)", "ours: method", ends=ends, level=0.0)
+    yield (
+        "λ_t = 2λ/(1 + exp(−ρ(ŝ_t − τ))), ŝ the mean deviation of the observed head from the direction "
+        "of travel before each step: over 2.5 s on the corpus (Baxter et al.: eleven steps), 1 s on "
+        "motion capture. Constant: ρ = 0; grows: ρ > 0, as in Baxter et al.; falls: ρ < 0."
+    )
+    yield (
+        "All parameters of each (q, λ, of the graph the strength of the couplings, then ρ and τ) are "
+        "those that make the innovations of other tracks most likely."
+    )
+    yield (
+        "Motion capture: positions twice a second with 0.05 m of noise, heads ten times a second with "
+        "κ = 4. Differences in nats for an observed position, paired by track, with 95 % bootstrap "
+        "intervals."
     )
 
 
-def _evaluations(settings: Settings) -> int:
-    return 6 if settings.quick else 35
+def _detail(data: str, method: str, weight: str, found: Found) -> Row:
+    at_rest, at_right_angles = found.rate.of(np.array([0.0, np.pi / 2.0]))
+    return {
+        "data": data,
+        "method": method,
+        "weight": weight,
+        "λ (1/s)": found.rate.rate,
+        "ρ (1/rad)": found.rate.growth,
+        "τ (°)": float(np.degrees(found.rate.offset)),
+        "λ at 0° (1/s)": float(at_rest),
+        "λ at 90° (1/s)": float(at_right_angles),
+        "tracks": len(found.nats),
+        "nats": float(np.nanmean(found.nats)),
+    }
 
 
-@tabulated("Weight of the head: what was fitted, and log-likelihood of held-out tracks")
-def _detail(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Records:
-    for (data, method), by_weight in results.items():
-        for weight, found in by_weight.items():
-            at_rest, at_right_angles = found.rate.of(np.array([0.0, np.pi / 2.0]))
-            yield {
-                "data": data,
-                "method": method,
-                "weight": weight,
-                "λ (1/s)": found.rate.rate,
-                "ρ (1/rad)": found.rate.growth,
-                "τ (°)": float(np.degrees(found.rate.offset)),
-                "λ at 0° (1/s)": float(at_rest),
-                "λ at 90° (1/s)": float(at_right_angles),
-                "tracks": len(found.nats),
-                "nats": float(np.nanmean(found.nats)),
-            }
-
-
-@tabulated("Paper / ours: log-likelihood of held-out tracks, paired with a constant weight")
-def _published_table(
+def _published(
     results: Mapping[tuple[str, str], Mapping[str, Found]], rng: np.random.Generator
-) -> Records:
+) -> Iterator[Row]:
     for (data, method), by_weight in results.items():
         record: dict[str, Cell] = {
             "paper": "the weight grows with the deviation",
@@ -269,16 +263,9 @@ def _published_table(
         yield record
 
 
-def work(settings: Settings) -> int:
-    """Evaluations of all searches."""
-    found = 5 if settings.recording(*MOCAP) else 2
-    return found * len(METHODS) * 9 * _evaluations(settings)
-
-
 EXPERIMENT = Experiment(
     "baxter-weight",
     "Baxter et al. 2014, eq. 2–3: a weight of the head that grows with its deviation, or a constant one",
-    work,
-    run,
     "1 track of each behaviour and 3 clips of each kind",
+    _parts,
 )

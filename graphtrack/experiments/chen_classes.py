@@ -32,8 +32,8 @@ from graphtrack.experiments.harness import (
     GAITS,
     MOCAP,
     Experiment,
+    Parts,
     Progress,
-    Reproduction,
     Settings,
     Table,
     evenly,
@@ -165,8 +165,7 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
     models = {(_PRESET, name): Model(_PRESET) for name in OTHER_ENGINES}
     errors |= estimated_errors(tracks, OTHER_ENGINES, models, progress)
     groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHER_ENGINES)}
-    table = detail([Scores(known.data, known.people, errors)], groups, rng)
-    return replace(table, title="Every engine, with joint")
+    return detail("Every engine, with joint", [Scores(known.data, known.people, errors)], groups, rng)
 
 
 FLIPPED, AT_RANDOM = 0.2, 0.1
@@ -196,7 +195,7 @@ WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
 
 def people(settings: Settings) -> dict[str, TrackSet]:
     """People by source, with body and head observed by classifiers with a known confusion."""
-    count = 4 if settings.quick else 42
+    count = settings.few(42, 4)
     clips = settings.tracks(*MOCAP)
     if clips is not None:
         found = {name: evenly(clips.select(*of), count, 2.0) for name, of in GAITS.items()}
@@ -228,59 +227,54 @@ def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
     return Scores(data, len(tracks), by_angle(("observation", ""), observed_errors) | estimates)
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
+def _parts(settings: Settings) -> Parts:
     everyone = people(settings)
-    found = [scores(name, tracks, progress) for name, tracks in everyone.items()]
+    first = next(iter(everyone.values()))
+    estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
+    settings.expect(estimates + len(everyone) + len(OTHER_ENGINES) * len(first))
+    found = [scores(name, tracks, settings.progress) for name, tracks in everyone.items()]
     pictured = []
     for i, (name, tracks) in enumerate(everyone.items()):
-        few = tracks[: 1 if settings.quick else 12]
+        few = tracks[: settings.few(12)]
         pictured.append(image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
-        progress(1)
+        settings.progress(1)
     rng = settings.rng(99)
-    notes = (
-        f"Positions with {POSITION_STD} m of noise; in each frame a class of the body (8) and one of the "
-        f"head (12), {100 * FLIPPED:.0f} % of them turned by 180°, {100 * AT_RANDOM:.0f} % any, as "
-        "likelihoods that are calibrated. Errors are independent from frame to frame; those of a real "
-        "classifier are not.",
-        "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval. "
-        "Every method gets the same frames and default parameters. Online estimates use the past alone; the "
-        f"graphs keep {LAG:g} s open.",
-        "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
-        "smooth mixture, which the graph has. joint-body is what Chen et al. (2011) call separate (κ₂ = 0).",
-        "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
-        "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
-        "the position was observed; of the first people only.",
-        "Every engine: the people of the first source.",
-    )
-    pictured_table = replace(
-        detail(pictured, IMAGE_GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
-    )
-    details = detail(found, GROUPS, rng)
+    in_image = detail("Answers in the image of a camera (eq. 13–14)", pictured, IMAGE_GROUPS, rng)
+    yield detail("Body and head from class likelihoods", found, GROUPS, rng)
+    yield in_image
     figure = new_figure(4.2 * len(found) + 1.0, 7.2)
     grid = figure.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
     draw_errors(grid, found, GROUPS, rng)
     grid[0, 0].legend(frameon=False, fontsize=8)
-    engines = engine_table(found[0], next(iter(everyone.values())), settings.rng(98), progress)
-    return Reproduction(
-        "chen-classes",
-        (details, pictured_table, engines, published_table(found, GROUPS, PUBLISHED_TITLE)),
-        figure,
-        notes,
+    yield figure
+    yield engine_table(found[0], first, settings.rng(98), settings.progress)
+    yield published_table(found, GROUPS, PUBLISHED_TITLE)
+    yield (
+        f"Positions with {POSITION_STD} m of noise; in each frame a class of the body (8) and one of the "
+        f"head (12), {100 * FLIPPED:.0f} % of them turned by 180°, {100 * AT_RANDOM:.0f} % any, as "
+        "likelihoods that are calibrated. Errors are independent from frame to frame; those of a real "
+        "classifier are not."
     )
-
-
-def work(settings: Settings) -> int:
-    """Return estimates, and the people of each source who are visible in the image."""
-    everyone = people(settings)
-    estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
-    return estimates + len(everyone) + len(OTHER_ENGINES) * len(next(iter(everyone.values())))
+    yield (
+        "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval. "
+        "Every method gets the same frames and default parameters. Online estimates use the past alone; the "
+        f"graphs keep {LAG:g} s open."
+    )
+    yield (
+        "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
+        "smooth mixture, which the graph has. joint-body is what Chen et al. (2011) call separate (κ₂ = 0)."
+    )
+    yield (
+        "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
+        "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
+        "the position was observed; of the first people only."
+    )
+    yield "Every engine: the people of the first source."
 
 
 EXPERIMENT = Experiment(
     "chen-classes",
     "Chen et al. 2011: class likelihoods of body and head, many of them wrong",
-    work,
-    run,
     "4 people of each source, 1 in the image",
+    _parts,
 )

@@ -6,8 +6,9 @@ presets alike, on people who are not reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -25,18 +26,17 @@ from graphtrack.experiments.harness import (
     Cell,
     Experiment,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
     Table,
     draw_panel,
     evenly,
-    fit,
+    fitted_model,
     interval_cells,
     page,
     paired,
-    tabulated,
     thinned,
 )
 from graphtrack.geometry.angles import (
@@ -84,6 +84,10 @@ class Scores:
     data: str
     people: int
     errors: Errors
+
+    def mean(self, *key: str) -> float:
+        """Mean over the people of a (preset, method, angle)."""
+        return float(self.errors[key].mean())  # type: ignore[index]
 
 
 def errors_of(estimate: Track, track: Track) -> list[float]:
@@ -135,60 +139,66 @@ def most_likely_error(track: Track, truth: Track, angle: str) -> float:
     return float(np.degrees(np.abs(difference(answer, true[known])).mean()))
 
 
-@tabulated("Body and head from class likelihoods")
-def detail(found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Generator) -> Records:
+def mean_interval(name: str, errors: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:
+    """Cells of the mean over people (n,), with its 95 % bootstrap interval."""
+    return interval_cells(name, bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng))
+
+
+def detail(title: str, found: Iterable[Scores], groups: Mapping[str, str], rng: np.random.Generator) -> Table:
     """The errors of every method with every model, with 95 % intervals over people.
 
     Parameters
     ----------
     groups : method → "online" or "offline", in the order of the rows
     """
-    for one in found:
-        for angle in ANGLES:
-            for method, group in groups.items():
-                for preset in WITH_FULL:
-                    errors = one.errors.get((preset, method, angle))
-                    if errors is None:
-                        continue
-                    interval = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
-                    yield {
-                        "data": one.data,
-                        "people": len(errors),
-                        "angle": angle,
-                        "group": group,
-                        "method": method,
-                        "model": preset,
-                        "most likely class (°)": float(one.errors["observation", "", angle].mean()),
-                        **interval_cells("error (°)", interval),
-                    }
+    return Table.of(
+        title,
+        (
+            {
+                "data": one.data,
+                "people": len(errors),
+                "angle": angle,
+                "group": group,
+                "method": method,
+                "model": preset,
+                "most likely class (°)": one.mean("observation", "", angle),
+                **mean_interval("error (°)", errors, rng),
+            }
+            for one in found
+            for angle in ANGLES
+            for method, group in groups.items()
+            for preset in WITH_FULL
+            if (errors := one.errors.get((preset, method, angle))) is not None
+        ),
+    )
 
 
 def published_table(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
-    """Chen et al.'s Table 2 next to the errors of some methods, grouped by ``groups`` as
-    online."""
-    records: list[dict[str, Cell]] = []
-    for i, angle in enumerate(ANGLES):
-        for one in found:
-            for method, group in groups.items():
-                records.append(
-                    {
-                        "angle": angle,
-                        **{f"paper: {name}": PAPER[name][i] for name in PAPER},
-                        "ours: data": one.data,
-                        "ours: method": f"{method} ({group})",
-                        "ours: observation": float(one.errors["observation", "", angle].mean()),
-                        "ours: separate": float(one.errors["joint-body", method, angle].mean()),
-                        "ours: joint": float(one.errors["joint", method, angle].mean()),
-                    }
-                )
-    return Table.of(title, records)
+    """Chen et al.'s Table 2 next to the errors of some methods, grouped by ``groups`` as online."""
+    return Table.of(
+        title,
+        (
+            {
+                "angle": angle,
+                **{f"paper: {name}": values[i] for name, values in PAPER.items()},
+                "ours: data": one.data,
+                "ours: method": f"{method} ({group})",
+                "ours: observation": one.mean("observation", "", angle),
+                "ours: separate": one.mean("joint-body", method, angle),
+                "ours: joint": one.mean("joint", method, angle),
+            }
+            for i, angle in enumerate(ANGLES)
+            for one in found
+            for method, group in groups.items()
+        ),
+    )
 
 
 def draw_errors(
     grid: NDArray[Any], found: Sequence[Scores], groups: Mapping[str, str], rng: np.random.Generator
 ) -> None:
     """Draw the errors into a grid of axes (2, len(found)), body above head, a column for each source."""
-    rows = detail(found, groups, rng).records()
+    rows = detail("", found, groups, rng).records()
     handles: dict[str, Any] = {}
     for row, angle in enumerate(ANGLES):
         for column, one in enumerate(found):
@@ -208,34 +218,17 @@ SHARED: Mapping[str, str] = {
 }
 """Parameters that all methods have: name in tables → name."""
 
-FITTED = {"joint-body": tuple(SHARED)[:-1], "joint": tuple(SHARED)}
+FITTED = {"joint-body": tuple(SHARED.values())[:-1], "joint": tuple(SHARED.values())}
 """Preset → the parameters that are fitted: the paper's separate filtering has no κ₂."""
 
 PAIRS = (("graph", "particle"), (f"graph{ISAM2}", "particle"), ("smoother", "ffbs"))
 """Methods that are compared on the same people, the first less the second."""
 
-
 Models = Mapping[tuple[str, str], Model]
 """(preset, method) → the model with the parameters fitted for that method."""
 
 
-def shared_values(model: Model) -> dict[str, float]:
-    """The values of `SHARED` in a model."""
-    return {name: model.parameters.value(one) for name, one in SHARED.items()}
-
-
-def with_shared(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with other values of some of `SHARED`."""
-    changed = {SHARED[name]: value for name, value in values.items()}
-    return model.with_parameters(model.parameters.with_values(changed))
-
-
-def fitted_models(
-    tracks: TrackSet,
-    methods: Methods,
-    evaluations: int,
-    progress: Progress,
-) -> dict[tuple[str, str], Model]:
+def fitted_models(tracks: TrackSet, methods: Methods, evaluations: int, progress: Progress) -> Models:
     """Models of `FITTED`'s presets with which each method has the smallest mean error of body and head.
 
     iSAM2 solves the graph that the compiled chain solves, and has its parameters.
@@ -243,96 +236,71 @@ def fitted_models(
     Parameters
     ----------
     tracks : people who are not reported
-    methods : group and estimator by name
+    methods : group and estimator by name, a graph before its iSAM2
     evaluations : of each method and preset on all of them, at most
     """
-    found = {}
-    for preset, names in FITTED.items():
-        start = Model(preset)
-        for method, (_, estimator) in methods.items():
-            if method.endswith(ISAM2):
-                continue
 
-            def error(
-                *values: float,
-                estimator: Estimator = estimator,
-                start: Model = start,
-                names: tuple[str, ...] = names,
-            ) -> float:
-                model = with_shared(start, dict(zip(names, values, strict=True)))
-                errors = [errors_of(estimator(track, model), track) for track in tracks]
-                progress(len(tracks))
-                return float(np.mean(errors))
+    def fitted(preset: str, estimator: Estimator) -> Model:
+        def error(model: Model) -> float:
+            errors = [errors_of(estimator(track, model), track) for track in tracks]
+            progress(len(tracks))
+            return float(np.mean(errors))
 
-            before = shared_values(start)
-            best = fit(error, [before[name] for name in names], evaluations=evaluations)
-            found[preset, method] = with_shared(start, dict(zip(names, best, strict=True)))
-        for method in methods:
-            if method.endswith(ISAM2):
-                found[preset, method] = found[preset, method.removesuffix(ISAM2)]
+        return fitted_model(Model(preset), FITTED[preset], error, evaluations)
+
+    found: dict[tuple[str, str], Model] = {}
+    for preset, (method, (_, estimator)) in product(FITTED, methods.items()):
+        own = method.removesuffix(ISAM2)
+        found[preset, method] = fitted(preset, estimator) if own == method else found[preset, own]
     return found
-
-
-def fits(methods: Mapping[str, object]) -> int:
-    """Searches that `fitted_models` makes."""
-    return len(FITTED) * sum(not method.endswith(ISAM2) for method in methods)
 
 
 def parameter_table(models: Models) -> Table:
     """The parameters fitted for each method, with the package's own in the first row."""
-    records: list[dict[str, Cell]] = [
-        {"preset": "joint", "method": "default", **shared_values(Model("joint"))}
-    ]
-    for (preset, method), model in models.items():
-        own = shared_values(model)
-        if not method.endswith(ISAM2):
-            given = {name: own[name] if name in FITTED[preset] else None for name in SHARED}
-            records.append({"preset": preset, "method": method, **given})
-    return Table.of("Parameters fitted for each method, on other people", records)
+
+    def row(preset: str, method: str, model: Model) -> Row:
+        known = {
+            label: model.parameters.value(name) if name in FITTED[preset] else None
+            for label, name in SHARED.items()
+        }
+        return {"preset": preset, "method": method, **known}
+
+    rows = [row(*key, model) for key, model in models.items() if not key[1].endswith(ISAM2)]
+    title = "Parameters fitted for each method, on other people"
+    return Table.of(title, [row("joint", "default", Model("joint")), *rows])
 
 
-@tabulated("Errors with the parameters fitted for each method")
-def fitted_table(
-    scores: Mapping[str, Errors], fitted: Mapping[str, Errors], methods: Methods, rng: np.random.Generator
-) -> Records:
-    """Errors with the default parameters and with those fitted, by source, angle and method.
-
-    Parameters
-    ----------
-    scores, fitted : by source
-    rng : source of the intervals' resampling
-    """
-    for data, errors in scores.items():
-        for i, angle in enumerate(ANGLES):
-            for method, (group, _) in methods.items():
-                joint, body = (fitted[data][preset, method, angle] for preset in ("joint", "joint-body"))
-                yield {
-                    "data": data,
-                    "angle": angle,
-                    "group": group,
-                    "method": method,
-                    "paper: joint (°)": PAPER["joint"][i],
-                    "joint, default (°)": float(errors["joint", method, angle].mean()),
-                    "joint, fitted (°)": float(joint.mean()),
-                    "joint-body, fitted (°)": float(body.mean()),
-                    **paired("joint − joint-body, fitted (°)", joint, body, rng),
-                }
+def fitted_rows(
+    found: Sequence[Scores], fitted: Mapping[str, Errors], methods: Methods, rng: np.random.Generator
+) -> Iterator[Row]:
+    """Errors with the default parameters and with those fitted, by source, angle and method."""
+    for one, (i, angle) in product(found, enumerate(ANGLES)):
+        for method, (group, _) in methods.items():
+            joint, body = (fitted[one.data][preset, method, angle] for preset in ("joint", "joint-body"))
+            yield {
+                "data": one.data,
+                "angle": angle,
+                "group": group,
+                "method": method,
+                "paper: joint (°)": PAPER["joint"][i],
+                "joint, default (°)": one.mean("joint", method, angle),
+                "joint, fitted (°)": float(joint.mean()),
+                "joint-body, fitted (°)": float(body.mean()),
+                **paired("joint − joint-body, fitted (°)", joint, body, rng),
+            }
 
 
-@tabulated("Methods compared on the same people, joint, 95 % intervals")
-def pair_table(
-    scores: Mapping[str, Errors], fitted: Mapping[str, Errors], rng: np.random.Generator
-) -> Records:
+def pair_rows(
+    found: Sequence[Scores], fitted: Mapping[str, Errors], rng: np.random.Generator
+) -> Iterator[Row]:
     """Paired differences of `PAIRS` with `joint`, with the default parameters and with those fitted."""
-    for data, errors in scores.items():
-        for angle in ANGLES:
-            for first, second in PAIRS:
-                record: dict[str, Cell] = {"data": data, "angle": angle, "difference": f"{first} − {second}"}
-                for which, of in (("default", errors), ("fitted", fitted[data])):
-                    ends = f"{which}: low", f"{which}: high"
-                    one, other = (of["joint", method, angle] for method in (first, second))
-                    record |= paired(f"{which} (°)", one, other, rng, *ends)
-                yield record
+    for one, angle, (first, second) in product(found, ANGLES, PAIRS):
+        record: dict[str, Cell] = {"data": one.data, "angle": angle, "difference": f"{first} − {second}"}
+        for which, of in (("default", one.errors), ("fitted", fitted[one.data])):
+            ends = f"{which}: low", f"{which}: high"
+            mine, other = (of["joint", method, angle] for method in (first, second))
+            record |= paired(f"{which} (°)", mine, other, rng, *ends)
+        yield record
 
 
 PATHS = ParticleOptions(paths=40)
@@ -373,7 +341,7 @@ def concentration_of(error: float) -> float:
 
 def people(settings: Settings) -> dict[str, TrackSet]:
     """Noisy people by source, as wrong as Chen et al.'s observations are."""
-    count = 6 if settings.quick else 40
+    count = settings.few(40, 6)
     found = {}
     clips = settings.tracks(*MOCAP)
     if clips is not None:
@@ -381,7 +349,7 @@ def people(settings: Settings) -> dict[str, TrackSet]:
         found["mocap, sideways and back"] = evenly(clips.select(*ASKANCE).map(thinned), count, 2.0)
     salsa = settings.tracks(*SALSA)
     if salsa is not None:
-        steps = 30 if settings.quick else 250
+        steps = settings.few(250, 30)
         found["SALSA, party"] = salsa.map(lambda track: track[:steps])
     drawn = simulate("joint", n_tracks=max(count // 2, 4), n_steps=100, rng=settings.rng(1))
     found["drawn from the joint model"] = drawn
@@ -390,7 +358,7 @@ def people(settings: Settings) -> dict[str, TrackSet]:
 
 def simulated_walkers(settings: Settings, reported: Mapping[str, TrackSet]) -> TrackSet:
     """Noisy people who walk ahead and are not reported, for parameters to be fitted on."""
-    count = 3 if settings.quick else 24
+    count = settings.few(24, 3)
     clips = settings.tracks(*MOCAP)
     if clips is None:
         tracks = simulate("joint", n_tracks=count, n_steps=100, rng=settings.rng(3))
@@ -407,143 +375,134 @@ def _noisy(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
     return add_noise(tracks, position_std=POSITION_STD, body_kappa=body, head_kappa=head, rng=rng)
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment."""
-    everyone = people(settings)
+def _parts(settings: Settings) -> Parts:
+    everyone, evaluations = people(settings), settings.few(100, 7)
+    others = simulated_walkers(settings, everyone)
+    models = default_models(METHODS, WITH_MODES)
+    searches = len(FITTED) * sum(not method.endswith(ISAM2) for method in METHODS)
+    reported = sum(len(tracks) for tracks in everyone.values())
+    settings.expect(
+        (len(models) + len(FITTED) * len(METHODS)) * reported + searches * evaluations * len(others)
+    )
     found = []
     for name, tracks in everyone.items():
         observed = by_angle(("observation", ""), [errors_of(track, track) for track in tracks])
-        estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
+        estimates = estimated_errors(tracks, METHODS, models, settings.progress)
         found.append(Scores(name, len(tracks), observed | estimates))
-    models = fitted_models(simulated_walkers(settings, everyone), METHODS, _evaluations(settings), progress)
-    fitted = {name: estimated_errors(tracks, METHODS, models, progress) for name, tracks in everyone.items()}
-    by_default = {one.data: one.errors for one in found}
+    best = fitted_models(others, METHODS, evaluations, settings.progress)
+    fitted = {
+        name: estimated_errors(tracks, METHODS, best, settings.progress) for name, tracks in everyone.items()
+    }
     rng = settings.rng(99)
-    notes = [
+    yield Table.of(
+        "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint",
+        _detail(found, rng),
+    )
+    yield Table.of("Beyond Chen et al. 2011: the graph with coupling modes (full)", _modes(found, rng))
+    yield parameter_table(best)
+    yield Table.of(
+        "Errors with the parameters fitted for each method",
+        fitted_rows(found, fitted, METHODS, settings.rng(98)),
+    )
+    yield Table.of(
+        "Methods compared on the same people, joint, 95 % intervals",
+        pair_rows(found, fitted, settings.rng(97)),
+    )
+    yield published_table(found, GROUPS, PUBLISHED_TITLE)
+    yield page(_panels(found, rng), columns=len(found))
+    yield (
         "Mean absolute error per person, mean over people. joint − joint-body: paired difference with its "
-        "95 % bootstrap interval over five people or more; below 0 joint is better.",
-        "What Chen et al. (2011) call separate is joint-body: κ₂ = 0, so that the head does not "
-        "follow the body, which "
-        "does follow the motion. In separate nothing follows anything.",
-        "Observations have the mean error of Chen et al.'s, but independent noise at every frame "
-        "(mocap at 10 frames "
-        "a second): filtering removes more of that than of a classifier's errors, which persist.",
+        "95 % bootstrap interval over five people or more; below 0 joint is better."
+    )
+    yield (
+        "What Chen et al. (2011) call separate is joint-body: κ₂ = 0, so that the head does not follow the "
+        "body, which does follow the motion. In separate nothing follows anything."
+    )
+    yield (
+        "Observations have the mean error of Chen et al.'s, but independent noise at every frame (mocap at "
+        "10 frames a second): filtering removes more of that than of a classifier's errors, which persist."
+    )
+    yield (
         "Every method gets positions, body and head, the same frames and the same default parameters. Online "
-        "estimates use the past alone, offline ones the whole track.",
+        "estimates use the past alone, offline ones the whole track."
+    )
+    yield (
         "Fitted: q, D_body, D_head, κ₁ and, in joint, κ₂, for each method and preset by its own mean error "
         "of body and head, on people who walk ahead and are not reported. iSAM2 solves the chain's graph "
-        "and has its parameters.",
-        "Differences between methods are paired: the same people, the same observations.",
+        "and has its parameters."
+    )
+    yield "Differences between methods are paired: the same people, the same observations."
+    yield (
         "Where people do not face their motion, a coupling that trusts it misleads (mocap, sideways and "
-        "back); the preset full finds out who does.",
+        "back); the preset full finds out who does."
+    )
+    yield (
         "SALSA has a frame every 3 s: in that time 1,000 particles spread so far that few of them are within "
-        "the noise of a position, and the particle filter suffers from it.",
-    ]
-    notes.append(
+        "the noise of a position, and the particle filter suffers from it."
+    )
+    yield (
         "People drawn from the model follow the normalised product of dynamics and coupling, as the particle "
         "filter has it; the graph's is not normalised, and holds the head closer to the body than that."
     )
     if len(found) == 1:
-        notes.append("No recordings were found: only people drawn from the model.")
-    return Reproduction(
-        "chen-joint",
-        (
-            _detail(found, rng),
-            _modes(found, rng),
-            parameter_table(models),
-            fitted_table(by_default, fitted, METHODS, settings.rng(98)),
-            pair_table(by_default, fitted, settings.rng(97)),
-            published_table(found, GROUPS, PUBLISHED_TITLE),
-        ),
-        page(_panels(found, rng), columns=len(found)),
-        tuple(notes),
-    )
+        yield "No recordings were found: only people drawn from the model."
 
 
-def _evaluations(settings: Settings) -> int:
-    """Methods and presets with fitted parameters."""
-    return 7 if settings.quick else 100
+def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
+    for one, angle, (method, (group, _)) in product(found, ANGLES, METHODS.items()):
+        separate, body, joint = (one.errors[preset, method, angle] for preset in PRESETS)
+        yield {
+            "data": one.data,
+            "people": one.people,
+            "angle": angle,
+            "group": group,
+            "method": method,
+            "observation (°)": one.mean("observation", "", angle),
+            "separate (°)": float(separate.mean()),
+            "joint-body (°)": float(body.mean()),
+            "joint (°)": float(joint.mean()),
+            **paired("joint − joint-body (°)", joint, body, rng),
+        }
 
 
-@tabulated("Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint")
-def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Records:
-    for one in found:
-        for angle in ANGLES:
-            for method, (group, _) in METHODS.items():
-                separate, body, joint = (one.errors[preset, method, angle] for preset in PRESETS)
-                yield {
-                    "data": one.data,
-                    "people": one.people,
-                    "angle": angle,
-                    "group": group,
-                    "method": method,
-                    "observation (°)": float(one.errors["observation", "", angle].mean()),
-                    "separate (°)": float(separate.mean()),
-                    "joint-body (°)": float(body.mean()),
-                    "joint (°)": float(joint.mean()),
-                    **paired("joint − joint-body (°)", joint, body, rng),
-                }
-
-
-@tabulated("Beyond Chen et al. 2011: the graph with coupling modes (full)")
-def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Records:
+def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
     """The errors with ``full``, which has modes of the couplings."""
-    for one in found:
-        for angle in ANGLES:
-            for method in WITH_MODES:
-                own, separate = (one.errors[preset, method, angle] for preset in ("full", "separate"))
-                yield {
-                    "data": one.data,
-                    "angle": angle,
-                    "group": METHODS[method][0],
-                    "method": method,
-                    "separate (°)": float(separate.mean()),
-                    "joint (°)": float(one.errors["joint", method, angle].mean()),
-                    "full (°)": float(own.mean()),
-                    **paired("full − separate (°)", own, separate, rng),
-                }
+    for one, angle, method in product(found, ANGLES, WITH_MODES):
+        own, separate = (one.errors[preset, method, angle] for preset in ("full", "separate"))
+        yield {
+            "data": one.data,
+            "angle": angle,
+            "group": METHODS[method][0],
+            "method": method,
+            "separate (°)": float(separate.mean()),
+            "joint (°)": one.mean("joint", method, angle),
+            "full (°)": float(own.mean()),
+            **paired("full − separate (°)", own, separate, rng),
+        }
 
 
 def _panels(found: Sequence[Scores], rng: np.random.Generator) -> list[Panel]:
-    panels = []
-    for i, angle in enumerate(ANGLES):
-        for one in found:
-            rows: list[dict[str, Cell]] = [
-                {
-                    "model": preset,
-                    "error": PAPER[name][i],
-                    "method": "Chen et al. 2011",
-                    "low": None,
-                    "high": None,
-                }
-                for preset, name in (("joint-body", "separate"), ("joint", "joint"))
-            ]
-            for (preset, method, of), errors in one.errors.items():
-                if of == angle:
-                    mean = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
-                    rows.append(
-                        {"model": preset, "method": method or "observation", **interval_cells("error", mean)}
-                    )
-            order = ("observation", *WITH_FULL)
-            rows.sort(key=lambda row: order.index(str(row["model"])))
-            title = f"{one.data}: {angle} (°)"
-            panels.append(Panel(title, rows, "model", "error", "method", ends=("low", "high")))
+    panels, order = [], ("observation", *WITH_FULL)
+    for (i, angle), one in product(enumerate(ANGLES), found):
+        published = {"method": "Chen et al. 2011", "low": None, "high": None}
+        rows: list[Row] = [
+            {"model": preset, "error": PAPER[name][i], **published}
+            for preset, name in (("joint-body", "separate"), ("joint", "joint"))
+        ]
+        rows += [
+            {"model": preset, "method": method or "observation", **mean_interval("error", errors, rng)}
+            for (preset, method, of), errors in one.errors.items()
+            if of == angle
+        ]
+        rows.sort(key=lambda row: order.index(str(row["model"])))
+        title = f"{one.data}: {angle} (°)"
+        panels.append(Panel(title, rows, "model", "error", "method", ends=("low", "high")))
     return panels
-
-
-def work(settings: Settings) -> int:
-    """Estimates: with default parameters, at each evaluation of the fits, and with the fitted parameters."""
-    everyone = people(settings)
-    reported = sum(len(tracks) for tracks in everyone.values())
-    fitting = _evaluations(settings) * len(simulated_walkers(settings, everyone))
-    known = len(default_models(METHODS, WITH_MODES)) + len(FITTED) * len(METHODS)
-    return known * reported + fits(METHODS) * fitting
 
 
 EXPERIMENT = Experiment(
     "chen-joint",
     "Chen et al. 2011, Table 2: observation, separate and joint filtering",
-    work,
-    run,
     "4 to 13 people of each source",
+    _parts,
 )

@@ -1,9 +1,9 @@
 """Harness of the experiments: settings, recordings, tables with intervals, and pages.
 
 An experiment is a module with an `Experiment` named ``EXPERIMENT``: its name on the command line, its
-source, the number of its parts, and a function from `Settings` and progress to a `Reproduction`. Recordings
-come from `Settings.tracks`, randomness from `Settings.rng`, tables from `Table.of`, intervals over people
-from `paired` and `interval_cells`, and the page of figures from `page`, which draws columns of the tables.
+source, and a function of `Settings` that yields what it found: a `Table`, a `Panel` of the page of figures
+(or a figure in place of the page), or a sentence that says how to read them. Recordings come from
+`Settings.tracks`, randomness from `Settings.rng`, intervals over people from `paired` and `interval_cells`.
 ``graphtrack reproduce`` prints the tables and writes them as JSON next to the page. Other packages add
 experiments as entry points of the group ``graphtrack.experiments``.
 
@@ -13,12 +13,12 @@ Every method at its own best parameters, and the one-step predictions by which t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, wraps
+from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from graphtrack.inference import Solution
 from graphtrack.inference.engines import OnlineEngine
 from graphtrack.io import read_identified
 from graphtrack.model import Model, Parameters
-from graphtrack.model.terms.intentional_motion import (
+from graphtrack.model.terms.motion import (
     HEAD_RATE,
     STANDSTILL,
     IntentionalMotion,
@@ -55,10 +55,15 @@ LAG = 5.0
 ISAM2 = ", isam2"
 """After the name of an online graph that GTSAM's iSAM2 solves; the others are the compiled chain's."""
 
-P = ParamSpec("P")
 Cell = str | int | float | None
-Records = Iterator[dict[str, Cell]]
+Row = Mapping[str, Cell]
 Progress = Callable[[int], None]
+Parts: TypeAlias = "Iterator[Table | Panel | Figure | str]"
+"""What an experiment yields."""
+
+
+def _ignored(count: int) -> None:
+    pass
 
 
 @dataclass(frozen=True)
@@ -70,11 +75,19 @@ class Settings:
     quick : fewer tracks, for a first look
     seed : of all randomness
     data : folder of recordings, with ``mocap``, ``salsa`` and ``caviar`` in it; None: simulated people only
+    expect : called with the number of steps, once it is known
+    progress : called with the steps done
     """
 
     quick: bool = False
     seed: int = 0
     data: Path | None = None
+    expect: Progress = _ignored
+    progress: Progress = _ignored
+
+    def few(self, many: int, few: int = 1) -> int:
+        """Return ``many``, or ``few`` for a first look."""
+        return few if self.quick else many
 
     def rng(self, *stream: int) -> np.random.Generator:
         """A generator of its own for each stream, so that parts can change without touching others."""
@@ -116,23 +129,11 @@ class Table:
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
     @classmethod
-    def of(cls, title: str, records: Sequence[Mapping[str, Cell]]) -> Table:
+    def of(cls, title: str, rows: Iterable[Row]) -> Table:
         """A table of dictionaries that all have the same keys; numbers become plain Python ones."""
+        records = list(rows)
         columns = tuple(records[0]) if records else ()
         return cls(title, columns, tuple(tuple(_native(record[c]) for c in columns) for record in records))
-
-
-def tabulated(title: str) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
-    """Make a table of what a function yields, row by row."""
-
-    def decorate(rows: Callable[P, Records]) -> Callable[P, Table]:
-        @wraps(rows)
-        def table(*args: P.args, **kwargs: P.kwargs) -> Table:
-            return Table.of(title, list(rows(*args, **kwargs)))
-
-        return table
-
-    return decorate
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,16 +162,28 @@ class Experiment:
     ----------
     name : on the command line
     source : paper and place
-    work : from settings to the number of units of progress
-    run : does it; calls the progress with units
     quick : how few people are judged where it runs quickly, in words
+    parts : does it; yields tables and sentences in their order, and panels or a figure
+    columns : panels in a line of the page
     """
 
     name: str
     source: str
-    work: Callable[[Settings], int]
-    run: Callable[[Settings, Progress], Reproduction]
     quick: str
+    parts: Callable[[Settings], Parts]
+    columns: int = 3
+
+    def run(
+        self, settings: Settings, progress: Progress = _ignored, expect: Progress = _ignored
+    ) -> Reproduction:
+        """Do the experiment; report the number of steps to ``expect``, and steps done to ``progress``."""
+        found = list(self.parts(replace(settings, expect=expect, progress=progress)))
+        tables = tuple(one for one in found if isinstance(one, Table))
+        panels = [one for one in found if isinstance(one, Panel)]
+        notes = tuple(one for one in found if isinstance(one, str))
+        drawn = [one for one in found if not isinstance(one, Table | Panel | str)]
+        figure = drawn[0] if drawn else page(panels, self.columns) if panels else None
+        return Reproduction(self.name, tables, figure, notes)
 
 
 MOCAP = ("mocap", "tracks_30hz.csv.gz")
@@ -190,6 +203,9 @@ GAITS: Mapping[str, tuple[str, ...]] = {
 """Name in tables → patterns of the clips."""
 
 NO_MOCAP = "motion capture is needed: --data"
+
+BODY_KAPPA, HEAD_KAPPA = 1.2, 2.3
+"""As strong as the noise of Chen et al. 2011: that with which the defaults were fitted, on other clips."""
 
 EVERY = 3
 """Motion capture is thinned from 30 to 10 frames a second."""
@@ -214,6 +230,19 @@ def evenly(tracks: TrackSet, count: int, least_seconds: float = 0.0) -> TrackSet
     if len(long) > count:
         long = [long[i] for i in np.linspace(0, len(long) - 1, count).round().astype(int)]
     return tracks.with_tracks(long)
+
+
+def held_out(settings: Settings) -> tuple[TrackSet, TrackSet] | None:
+    """Return clips that nothing was fitted to, those of odd place: ordinary ones and those of `ASKANCE`."""
+    recording = settings.tracks(*MOCAP)
+    return None if recording is None else by_gait(recording.with_tracks(recording.tracks[1::2]))
+
+
+def by_gait(clips: TrackSet) -> tuple[TrackSet, TrackSet]:
+    """Return the clips that walk, turn and run, and those of `ASKANCE`."""
+    askance = clips.select(*ASKANCE)
+    known = {track.track_id for track in askance}
+    return clips.with_tracks(track for track in clips if track.track_id not in known), askance
 
 
 def interval_cells(
@@ -286,7 +315,7 @@ class Panel:
     """
 
     title: str
-    rows: Sequence[Mapping[str, Cell]]
+    rows: Sequence[Row]
     x: str
     y: str
     by: str
@@ -390,6 +419,18 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.05, "fatol": 1e-6}
     found = minimize(cost, origin, method="Nelder-Mead", options=options)
     return tuple(np.exp(found.x).tolist())
+
+
+def fitted_model(
+    start: Model, names: Sequence[str], cost: Callable[[Model], float], evaluations: int
+) -> Model:
+    """The model with those values of some parameters, ``group.key``, that make the cost small."""
+
+    def model(*values: float) -> Model:
+        return start.with_parameters(start.parameters.with_values(dict(zip(names, values, strict=True))))
+
+    begin = [start.parameters.value(name) for name in names]
+    return model(*fit(lambda *values: cost(model(*values)), begin, evaluations=evaluations))
 
 
 def with_density(parameters: Parameters, acceleration_density: float) -> Parameters:

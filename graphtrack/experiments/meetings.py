@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,19 +14,18 @@ from graphtrack.association.likelihood import observed_angles
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.experiments.harness import (
+    BODY_KAPPA,
+    HEAD_KAPPA,
     MOCAP,
     NO_MOCAP,
+    Cell,
     Experiment,
     Panel,
-    Progress,
-    Records,
-    Reproduction,
+    Parts,
     Settings,
-    page,
-    tabulated,
+    Table,
     thinned,
 )
-from graphtrack.experiments.honesty import BODY_KAPPA, HEAD_KAPPA
 from graphtrack.geometry.angles import wrap
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.detections import Detections
@@ -104,9 +104,9 @@ def detected(people: TrackSet, position_std: float, rng: np.random.Generator) ->
     noisy = add_noise(
         people, position_std=position_std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng
     )
-    frame, t = (np.concatenate([getattr(one, name) for one in noisy]) for name in ("frame", "t"))
-    position, body, head = (
-        np.concatenate([getattr(one, name) for one in noisy]) for name in ("position", "body", "head")
+    frame, t, position, body, head = (
+        np.concatenate([getattr(one, name) for one in noisy])
+        for name in ("frame", "t", "position", "body", "head")
     )
     whose = np.repeat([one.track_id for one in noisy], [len(one) for one in noisy])
     kept = rng.permutation(np.flatnonzero(rng.random(len(whose)) >= MISSED))
@@ -152,47 +152,42 @@ def switches(whose: IntArray, identity: IntArray) -> int:
     return changed
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; nothing without the recording."""
+def _parts(settings: Settings) -> Parts:
     clips = settings.tracks(*MOCAP)
     if clips is None:
-        return Reproduction("meetings", (), None, (NO_MOCAP,))
-    clips = clips.map(thinned)
+        yield NO_MOCAP
+        return
+    clips, pairs, seeds = clips.map(thinned), settings.few(PAIRS, FEW), settings.few(SEEDS)
+    settings.expect(seeds * len(POSITION_STDS) * len(TRACKERS) * len(EVIDENCE))
     counts: dict[tuple[float, str, str], list[int]] = {}
-    for seed in _seeds(settings):
-        people = meetings(clips, FEW if settings.quick else PAIRS, settings.rng(seed))
+    for seed in range(seeds):
+        people = meetings(clips, pairs, settings.rng(seed))
         for std in POSITION_STDS:
             detections, whose = detected(people, std, settings.rng(seed, 1))
-            for way, tracker in TRACKERS.items():
-                for evidence, names in EVIDENCE.items():
-                    given = {name: detections.channels[name] for name in names}
-                    found = tracker(replace(detections, channels=given))
-                    counts.setdefault((std, way, evidence), []).append(switches(whose, found))
-                    progress(1)
-    notes = (
-        f"{FEW if settings.quick else PAIRS} pairs who turn by 45° or more within {CLOSEST} m of each "
+            for (way, tracker), (evidence, names) in product(TRACKERS.items(), EVIDENCE.items()):
+                given = {name: detections.channels[name] for name in names}
+                found = tracker(replace(detections, channels=given))
+                counts.setdefault((std, way, evidence), []).append(switches(whose, found))
+                settings.progress(1)
+    table = Table.of("Identity switches, means and extremes of the seeds", _rows(counts))
+    yield table
+    for way in TRACKERS:
+        rows = [row for row in table.records() if row[""] == way]
+        yield Panel(f"identity switches, {way}", rows, "of", "switches", "σ (m)", ends=("least", "most"))
+    yield (
+        f"{pairs} pairs who turn by 45° or more within {CLOSEST} m of each "
         f"other, {SECONDS:g} s before and after, 10 frames a second, {100 * MISSED:.0f} % of the detections "
         f"missing, body κ = {BODY_KAPPA}, head κ = {HEAD_KAPPA} (Chen et al.'s noise), clips of "
         f"motion capture "
-        "turned at random.",
-        "All pairs are in one recording, from which the scene's parameters are learned; online is without "
-        "revision. A switch is a detection whose identity is not that of the person's one before.",
+        "turned at random."
     )
-    table = _table(counts)
-    panels = [
-        Panel(
-            f"identity switches, {way}",
-            [row for row in table.records() if row[""] == way],
-            *("of", "switches", "σ (m)"),
-            ends=("least", "most"),
-        )
-        for way in TRACKERS
-    ]
-    return Reproduction("meetings", (table,), page(panels), notes)
+    yield (
+        "All pairs are in one recording, from which the scene's parameters are learned; online is without "
+        "revision. A switch is a detection whose identity is not that of the person's one before."
+    )
 
 
-@tabulated("Identity switches, means and extremes of the seeds")
-def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Records:
+def _rows(counts: Mapping[tuple[float, str, str], list[int]]) -> Iterator[dict[str, Cell]]:
     for (std, way, evidence), found in counts.items():
         plain: Any = np.array(counts[std, way, "positions"], float)
         fewer = 100.0 * (1.0 - np.array(found) / np.maximum(plain, 1.0))
@@ -208,21 +203,9 @@ def _table(counts: Mapping[tuple[float, str, str], list[int]]) -> Records:
         }
 
 
-def _seeds(settings: Settings) -> range:
-    return range(1 if settings.quick else SEEDS)
-
-
-def work(settings: Settings) -> int:
-    """Recordings that are explained."""
-    if settings.recording(*MOCAP) is None:
-        return 1
-    return len(_seeds(settings)) * len(POSITION_STDS) * len(TRACKERS) * len(EVIDENCE)
-
-
 EXPERIMENT = Experiment(
     "meetings",
     "no paper's: identities where people meet and turn, with and without body and head",
-    work,
-    run,
     f"{FEW} pairs, one seed",
+    _parts,
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -15,11 +16,10 @@ from graphtrack.experiments.harness import (
     Cell,
     Experiment,
     Panel,
+    Parts,
     Progress,
-    Reproduction,
     Settings,
     Table,
-    page,
 )
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.interaction.groups import Groups, groups
@@ -50,6 +50,7 @@ RECORDINGS: Mapping[str, tuple[str, ...]] = {
     "eth/seq_hotel": ("eth", "seq_hotel", "obsmat.txt"),
 }
 """Recordings of pedestrians, whose people are shown at random times."""
+GROUPS = ("salsa", "groups.txt")
 
 _STOP_SECONDS, _FPS, _SECONDS = 4.0, 5.0, 60.0
 _GLANCE, _GLANCE_SECONDS, _SLOW = 0.4, 3.0, 0.3
@@ -60,6 +61,7 @@ PARAMETERS: Mapping[str, GroupParameters] = {"without": BEFORE, "with": DEFAULT}
 """Without the odds against groups of people who just met, and with them."""
 EVIDENCE: Mapping[str, str] = {"positions": "position", "positions and heads": "joint"}
 """Observations → the model that smooths them."""
+WAYS = {"offline": False, "online": True}
 
 
 def independent_walkers(
@@ -124,69 +126,52 @@ def shares(found: Groups) -> tuple[float, float]:
     return conversing, walking
 
 
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """People without groups or with known groups, and the columns with their labels."""
-
-    about: dict[str, Cell]
-    people: TrackSet
+Scene = tuple[dict[str, Cell], TrackSet]
+"""Columns that describe a scene, and its people, none of whom is in a group."""
 
 
-def _walkers(settings: Settings) -> Iterator[_Scene]:
-    for side in SIDES:
-        for stops in STOPPING:
-            for evidence in EVIDENCE:
-                for seed in range(_count(settings, SEEDS)):
-                    rng = settings.rng(seed)
-                    people = estimated(independent_walkers(rng, side, stops), evidence, rng)
-                    about: dict[str, Cell] = {
-                        "side (m)": side,
-                        "who stop (%)": 100.0 * stops,
-                        "evidence": evidence,
-                    }
-                    yield _Scene(about, people)
+def _walkers(settings: Settings) -> Iterator[Scene]:
+    for side, stops, evidence, seed in product(SIDES, STOPPING, EVIDENCE, range(settings.few(SEEDS))):
+        rng = settings.rng(seed)
+        people = estimated(independent_walkers(rng, side, stops), evidence, rng)
+        yield {"side (m)": side, "who stop (%)": 100.0 * stops, "evidence": evidence}, people
 
 
-def _recorded(settings: Settings) -> Iterator[_Scene]:
+def _recorded(settings: Settings) -> Iterator[Scene]:
     for name, parts in RECORDINGS.items():
         known = settings.tracks(*parts)
-        if known is None:
-            continue
-        for seed in range(_count(settings, SEEDS)):
-            yield _Scene({"people of": name}, at_random_times(known, settings.rng(seed, 1)))
+        for seed in range(settings.few(SEEDS) if known else 0):
+            assert known is not None
+            yield {"people of": name}, at_random_times(known, settings.rng(seed, 1))
 
 
-def _false_groups(scenes: Iterator[_Scene], progress: Progress) -> list[dict[str, Cell]]:
+def _false_groups(scenes: Iterator[Scene], progress: Progress) -> list[dict[str, Cell]]:
     """Means of `shares` over the scenes that are alike, without and with the odds, offline and online."""
-    found: dict[tuple[Cell, ...], list[tuple[float, ...]]] = {}
-    about: dict[tuple[Cell, ...], dict[str, Cell]] = {}
-    for scene in scenes:
-        for way, online in (("offline", False), ("online", True)):
-            key = (*scene.about.values(), way)
-            about[key] = {**scene.about, "way": way}
-            cells = [shares(groups(scene.people, one, online=online)) for one in PARAMETERS.values()]
-            found.setdefault(key, []).append(tuple(value for pair in cells for value in pair))
-        progress(1)
     names = [f"{kind}, {name} (%)" for name in PARAMETERS for kind in ("conversing", "walking")]
+    found: dict[tuple[tuple[str, Cell], ...], list[list[float]]] = {}
+    for about, people in scenes:
+        for way, online in WAYS.items():
+            pairs = (shares(groups(people, one, online=online)) for one in PARAMETERS.values())
+            key = (*about.items(), ("way", way))
+            found.setdefault(key, []).append([value for pair in pairs for value in pair])
+        progress(1)
     return [
-        {**about[key], **dict(zip(names, np.mean(values, axis=0).tolist(), strict=True))}
+        dict(key) | dict(zip(names, np.mean(values, axis=0).tolist(), strict=True))
         for key, values in found.items()
     ]
 
 
-def _kept(settings: Settings, progress: Progress) -> list[dict[str, Cell]]:
+def _kept(settings: Settings) -> Iterator[dict[str, Cell]]:
     """F1 of true groups, without and with the odds, and of average linkage, which is the same online."""
-    records: list[dict[str, Cell]] = []
     for name, scenes in _labelled(settings):
-        for way, online in (("offline", False), ("online", True)):
+        for way, online in WAYS.items():
             row: dict[str, Cell] = {"people": name, "way": way}
             for label, parameters in PARAMETERS.items():
                 found = [groups(people, parameters, online=online) for people, _ in scenes]
                 row |= _f1(label, [one.group for one in found], found, scenes)
             linked = [average_linkage(people_of(people)) for people, _ in scenes]
-            records.append(row | _f1("average linkage", linked, found, scenes))
-        progress(1)
-    return records
+            yield row | _f1("average linkage", linked, found, scenes)
+        settings.progress(1)
 
 
 Truth = Mapping[tuple[int, int], int]
@@ -216,7 +201,7 @@ def _labels(found: Groups, truth: Truth) -> np.ndarray:
 def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Truth]]]]:
     for evidence in EVIDENCE:
         scenes: list[tuple[TrackSet, Truth]] = []
-        for seed in range(_count(settings, PARTIES)):
+        for seed in range(settings.few(PARTIES)):
             rng = settings.rng(seed, 2)
             known = party(rng, people=12, steps=300, fps=2.0)
             columns = known.group_columns()
@@ -224,7 +209,7 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
             truth = dict(zip(keys, columns["group"].tolist(), strict=True))
             scenes.append((estimated(known.tracks, evidence, rng), truth))
         yield f"simulated parties, {evidence}", scenes
-    recorded, labels = settings.tracks(*SALSA), settings.recording("salsa", "groups.txt")
+    recorded, labels = settings.tracks(*SALSA), settings.recording(*GROUPS)
     if recorded is None or labels is None:
         return
     with warnings.catch_warnings():
@@ -248,57 +233,39 @@ def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Tr
             )
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; simulated people alone without recordings."""
-    walkers = _false_groups(_walkers(settings), progress)
-    recorded = _false_groups(_recorded(settings), progress)
-    tables = [Table.of("Independent walkers in groups, simulated", walkers)]
-    if recorded:
-        tables.append(Table.of("Recorded people at random times in groups", recorded))
-    tables.append(Table.of("True groups", _kept(settings, progress)))
-    notes = (
-        f"Per cent of person-frames, means of {_count(settings, SEEDS)} seeds. Nobody is in a group: "
-        f"simulated walkers, {PEOPLE} in a square at a time, each on a course of their own, "
-        f"σ = {POSITION_STD} m, head κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time.",
-        "Without and with the log odds against groups of people who just met (encounter_odds).",
-    )
-    stopping = [row for row in walkers if row["who stop (%)"]]
-    panels = [
-        Panel(
-            f"walkers who stop, {evidence}: “conversing” (%)",
-            [
-                {
-                    "side (m)": row["side (m)"],
-                    "share": row[f"conversing, {name} (%)"],
-                    "by": f"{row['way']}, {name}",
-                }
-                for row in stopping
-                if row["evidence"] == evidence
-                for name in PARAMETERS
-            ],
-            *("side (m)", "share", "by"),
-        )
-        for evidence in EVIDENCE
-    ]
-    return Reproduction("strangers", tuple(tables), page(panels), notes)
-
-
-def _count(settings: Settings, many: int) -> int:
-    return 1 if settings.quick else many
-
-
-def work(settings: Settings) -> int:
-    """Scenes in which groups are found."""
-    seeds = _count(settings, SEEDS)
+def _parts(settings: Settings) -> Parts:
+    seeds = settings.few(SEEDS)
     there = sum(settings.recording(*parts) is not None for parts in RECORDINGS.values())
-    salsa = all(settings.recording(*parts) is not None for parts in (SALSA, ("salsa", "groups.txt")))
-    return seeds * (len(SIDES) * len(STOPPING) * len(EVIDENCE) + there) + len(EVIDENCE) + 4 * salsa
+    salsa = all(settings.recording(*parts) for parts in (SALSA, GROUPS))
+    settings.expect(seeds * (len(SIDES) * len(STOPPING) * len(EVIDENCE) + there) + len(EVIDENCE) + 4 * salsa)
+    walkers = _false_groups(_walkers(settings), settings.progress)
+    yield Table.of("Independent walkers in groups, simulated", walkers)
+    if recorded := _false_groups(_recorded(settings), settings.progress):
+        yield Table.of("Recorded people at random times in groups", recorded)
+    yield Table.of("True groups", _kept(settings))
+    for evidence in EVIDENCE:
+        rows: list[dict[str, Cell]] = [
+            {
+                "side (m)": row["side (m)"],
+                "share": row[f"conversing, {name} (%)"],
+                "by": f"{row['way']}, {name}",
+            }
+            for row in walkers
+            if row["who stop (%)"] and row["evidence"] == evidence
+            for name in PARAMETERS
+        ]
+        yield Panel(f"walkers who stop, {evidence}: “conversing” (%)", rows, "side (m)", "share", "by")
+    yield (
+        f"Per cent of person-frames, means of {seeds} seeds. Nobody is in a group: "
+        f"simulated walkers, {PEOPLE} in a square at a time, each on a course of their own, "
+        f"σ = {POSITION_STD} m, head κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time."
+    )
+    yield "Without and with the log odds against groups of people who just met (encounter_odds)."
 
 
 EXPERIMENT = Experiment(
     "strangers",
     "no paper's: groups found among independent people, and true groups kept",
-    work,
-    run,
     f"about {PEOPLE} people at a time, one seed",
+    _parts,
 )

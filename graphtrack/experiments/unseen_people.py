@@ -6,8 +6,8 @@ the simpler presets, and judged on other people of the source that was left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,20 +15,20 @@ from scipy.optimize import least_squares
 
 from graphtrack.evaluation.metrics import Angle, angle_nees, angular_error, position_rmse
 from graphtrack.experiments.harness import (
-    ASKANCE,
+    BODY_KAPPA,
+    HEAD_KAPPA,
     MOCAP,
     SALSA,
     Cell,
     Experiment,
     Panel,
+    Parts,
     Progress,
-    Records,
-    Reproduction,
+    Row,
     Settings,
     Table,
+    by_gait,
     evenly,
-    page,
-    tabulated,
     thinned,
 )
 from graphtrack.experiments.strangers import independent_walkers
@@ -73,21 +73,6 @@ People = Mapping[str, TrackSet]
 """Setting → observed tracks with their truth."""
 
 
-@dataclass(frozen=True)
-class Source:
-    """People of one kind.
-
-    Attributes
-    ----------
-    name : in tables
-    people : from settings and a stream (0: to fit on, 1: to judge on) to observed tracks by setting; none
-        where the data are not there
-    """
-
-    name: str
-    people: Callable[[Settings, int], People]
-
-
 SETTINGS: Mapping[str, Mapping[str, float | bool | None]] = {
     "10 Hz": {},
     "many glances": {"glances": 12.0},
@@ -127,14 +112,12 @@ def motion_capture(settings: Settings, stream: int) -> People:
     recording = settings.tracks(*MOCAP)
     if recording is None:
         return {}
-    half = recording.with_tracks(recording.tracks[stream::2])
-    odd = half.select(*ASKANCE)
-    known = {track.track_id for track in odd}
-    few = 2 if settings.quick else 1
-    ordinary = evenly(half.with_tracks(t for t in half if t.track_id not in known), 32 // few)
+    ordinary, odd = by_gait(recording.with_tracks(recording.tracks[stream::2]))
+    few = settings.few(1, 2)
+    noise = {"position_std": 0.1, "body_kappa": BODY_KAPPA, "head_kappa": HEAD_KAPPA}
     noisy = {
-        name: add_noise(clips, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=settings.rng(42, stream))
-        for name, clips in (("30 Hz", ordinary), ("odd gaits", evenly(odd, 16 // few)))
+        name: add_noise(evenly(clips, count // few), **noise, rng=settings.rng(42, stream))
+        for name, clips, count in (("30 Hz", ordinary, 32), ("odd gaits", odd, 16))
     }
     return {**noisy, "10 Hz": noisy["30 Hz"].map(thinned)}
 
@@ -160,28 +143,23 @@ def crossing(settings: Settings, stream: int) -> People:
     }
 
 
-SOURCES = (
-    *(Source(name, partial(simulated, own, k)) for k, (name, own) in enumerate(HABITS.items())),
-    Source("simulated, crossing", crossing),
-    Source("motion capture", motion_capture),
-    Source("party", party),
-)
-
-
-# -- errors --------------------------------------------------------------------------------------------------
-
-
-def error_of(quantity: str, estimate: Track, truth: Track) -> float:
-    """Position in metres, body and head in degrees; NaN where they are not known."""
-    if quantity == "position":
-        return position_rmse(estimate, truth)
-    return angular_error(estimate, truth, ANGLES[QUANTITIES.index(quantity) - 1])
+SOURCES: Mapping[str, Callable[[Settings, int], People]] = {
+    **{name: partial(simulated, own, k) for k, (name, own) in enumerate(HABITS.items())},
+    "simulated, crossing": crossing,
+    "motion capture": motion_capture,
+    "party": party,
+}
+"""Source → function of settings and a stream (0: to fit on, 1: to judge on) that returns observed tracks by
+setting; none where the data are not there."""
 
 
 def errors_of(people: TrackSet, estimates: Sequence[Track]) -> FloatArray:
-    """Mean errors (3,) in the order of `QUANTITIES`."""
+    """Mean errors (3,) in the order of `QUANTITIES`: metres, and degrees of body and head."""
     pairs = list(zip(estimates, people, strict=True))
-    return np.array([np.nanmean([error_of(q, *pair) for pair in pairs]) for q in QUANTITIES])
+    position = np.nanmean([position_rmse(*pair) for pair in pairs])
+    return np.array(
+        [position, *(np.nanmean([angular_error(*pair, angle) for pair in pairs]) for angle in ANGLES)]
+    )
 
 
 def estimated(people: TrackSet, model: Model | str) -> Sequence[Track]:
@@ -189,9 +167,6 @@ def estimated(people: TrackSet, model: Model | str) -> Sequence[Track]:
     if model == ONLINE:
         return [track_online(track, "full") for track in people]
     return smooth(people, model).tracks
-
-
-# -- the fit -------------------------------------------------------------------------------------------------
 
 
 def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
@@ -223,10 +198,7 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
     return with_values(start, FREE, result.x)
 
 
-# -- the experiment ------------------------------------------------------------------------------------------
-
-
-def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Records:
+def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Iterator[dict[str, Cell]]:
     for setting, tracks in people.items():
         estimates = {name: estimated(tracks, model) for name, model in models.items()}
         errors = {name: errors_of(tracks, found) for name, found in estimates.items()}
@@ -245,51 +217,57 @@ def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Rec
 
 
 def _coverage(people: TrackSet, estimates: Sequence[Track], angle: Angle) -> float:
-    nees = [angle_nees(e, t, angle) for e, t in zip(estimates, people, strict=True)]
-    values = np.concatenate(nees)
+    values = np.concatenate([angle_nees(e, t, angle) for e, t in zip(estimates, people, strict=True)])
     known = values[np.isfinite(values)]
     return float(100.0 * np.mean(known <= 1.96**2)) if known.size else float("nan")
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; sources whose data are not there are missing."""
-    to_fit = {source.name: source.people(settings, 0) for source in SOURCES}
-    there = [source for source in SOURCES if to_fit[source.name]]
+def _parts(settings: Settings) -> Parts:
+    found = {name: people(settings, 0) for name, people in SOURCES.items()}
+    to_fit, rounds = {name: people for name, people in found.items() if people}, settings.few(3)
+    settings.expect(len(to_fit) * (rounds * (len(FITTED) + 1) + 1))
     rows: list[dict[str, Cell]] = []
-    constants: list[dict[str, Cell]] = []
-    for source in there:
-        training = [to_fit[other.name] for other in there if other is not source]
-        fitted = fit(training, _rounds(settings), progress)
+    constants: list[dict[str, float]] = []
+    for source in to_fit:
+        training = [people for other, people in to_fit.items() if other != source]
+        fitted = fit(training, rounds, settings.progress)
         models: dict[str, Model | str] = {name: name for name in PRESETS}
         models["full, fitted without it"] = fitted
-        rows += _rows(source.name, source.people(settings, 1), models)
-        values = {key: fitted.parameters.value(key) for key in FITTED}
-        constants.append({"left out": source.name, **values})
-        progress(1)
-    notes = (
-        "Each source was left out when the constants of “full, fitted without it” were fitted; the default "
-        "was fitted on all sources. Judged on people, clips and minutes that neither was fitted on.",
-        "“Of the best other”: the error over the least of separate, joint and full online. Wrong turns: over "
-        "a stop the body turns 360° more or less than in truth.",
+        rows += _rows(source, SOURCES[source](settings, 1), models)
+        constants.append({key: fitted.parameters.value(key) for key in FITTED})
+        settings.progress(1)
+    yield Table.of("Errors and coverage", rows)
+    yield Table.of("Errors over the best other's, by source", _summary(rows))
+    default = default_parameters("full")
+    yield Table.of(
+        "Constants fitted with one source left out",
+        (
+            {
+                "parameter": key,
+                "default": default.value(key),
+                "least": min(values),
+                "median": float(np.median(values)),
+                "greatest": max(values),
+            }
+            for key in FITTED
+            if (values := [one[key] for one in constants])
+        ),
     )
-    tables = (Table.of("Errors and coverage", rows), _summary(rows), _spread(constants))
     shown = [row for row in rows if row["model"] in ("full", "full, fitted without it")]
-    panels = [
-        Panel(
-            f"{name}: error over the best other's",
-            shown,
-            "source",
-            f"{name} of the best other",
-            "model",
-            level=1.0,
-        )
-        for name in QUANTITIES
-    ]
-    return Reproduction("unseen-people", tables, page(panels), notes)
+    for name in QUANTITIES:
+        title, column = f"{name}: error over the best other's", f"{name} of the best other"
+        yield Panel(title, shown, "source", column, "model", level=1.0)
+    yield (
+        "Each source was left out when the constants of “full, fitted without it” were fitted; the default "
+        "was fitted on all sources. Judged on people, clips and minutes that neither was fitted on."
+    )
+    yield (
+        "“Of the best other”: the error over the least of separate, joint and full online. Wrong turns: over "
+        "a stop the body turns 360° more or less than in truth."
+    )
 
 
-@tabulated("Errors over the best other's, by source")
-def _summary(rows: Sequence[Mapping[str, Cell]]) -> Records:
+def _summary(rows: Sequence[Row]) -> Iterator[Row]:
     for model in dict.fromkeys(row["model"] for row in rows):
         for source in dict.fromkeys(row["source"] for row in rows):
             own = [row for row in rows if row["model"] == model and row["source"] == source]
@@ -304,34 +282,9 @@ def _summary(rows: Sequence[Mapping[str, Cell]]) -> Records:
             yield record
 
 
-@tabulated("Constants fitted with one source left out")
-def _spread(constants: Sequence[Mapping[str, Cell]]) -> Records:
-    default = default_parameters("full")
-    for key in FITTED:
-        values = [float(one[key] or 0.0) for one in constants]
-        yield {
-            "parameter": key,
-            "default": default.value(key),
-            "least": min(values),
-            "median": float(np.median(values)),
-            "greatest": max(values),
-        }
-
-
-def _rounds(settings: Settings) -> int:
-    return 1 if settings.quick else 3
-
-
-def work(settings: Settings) -> int:
-    """Evaluations of the fits, and sources."""
-    there = sum(bool(source.people(settings, 0)) for source in SOURCES)
-    return there * (_rounds(settings) * (len(FITTED) + 1) + 1)
-
-
 EXPERIMENT = Experiment(
     "unseen-people",
     "no paper's: whether the default holds for people of sources that nothing was fitted to",
-    work,
-    run,
     "8 people in each setting, half of the clips, and one round of each fit",
+    _parts,
 )

@@ -239,15 +239,20 @@ class Forecaster:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any], parameters: ForecastParameters | None = None) -> Forecaster:
-        """Restore a forecaster from `state`, given the same parameters.
+    def from_state(
+        cls,
+        state: Mapping[str, Any],
+        parameters: ForecastParameters | None = None,
+        walkable: AreaLike | None = None,
+    ) -> Forecaster:
+        """Restore a forecaster from `state`, given the same parameters and area.
 
         Raises
         ------
         KeyError, TypeError, ValueError, IndexError
             If the state is damaged.
         """
-        found = cls(parameters)
+        found = cls(parameters, walkable)
         found.t = -math.inf if state["t"] is None else real(state["t"])
         found._numbers = integer(state["numbers"])
         found._of = dict(state["of"].tolist())

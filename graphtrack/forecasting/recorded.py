@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,8 +17,11 @@ from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike
-from graphtrack.io.formats.native import arrow_errors
+from graphtrack.io.formats.native import read_parquet
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.read_write import cells_of_file
 from graphtrack.io.source import Source
+from graphtrack.tracks.cells import numbers
 from graphtrack.tracks.track import STATE, Track, TrackSet
 from graphtrack.tracks.validation import check_positive
 
@@ -224,53 +226,26 @@ def read_forecasts(path: Path) -> dict[str, FloatArray]:
 
     Raise InputError with the invalid line and column.
     """
-    import pandas as pd
-
-    source = Source.open(path)
-    missing = [name for name in COLUMNS if name != "frame" and name not in _names(source)]
+    cells = cells_of_file(path, ReadOptions())
+    missing = [name for name in COLUMNS if name != "frame" and name not in cells.columns]
     if missing:
         raise InputError(f"no column {missing[0]}", f"the columns {', '.join(COLUMNS)}", path=path)
-    if source.head.startswith(_PARQUET):
-        with arrow_errors(path):
-            table = pd.read_parquet(io.BytesIO(source.data))
-    else:
-        try:
-            if _is_json(source):
-                table = pd.read_json(io.StringIO(source.text), lines=True, dtype=False)
-            else:
-                table = pd.read_csv(io.StringIO(source.text), dtype=str, keep_default_na=False)
-        except ValueError as error:  # pandas' own errors among them
-            raise InputError(" ".join(str(error).split())[:100], "a whole table", path=path) from error
-    wanted = [name for name in table.columns if name in COLUMNS or name.startswith("sample_")]
     found: dict[str, FloatArray] = {}
-    for name in wanted:
-        values = pd.to_numeric(table[name], errors="coerce").to_numpy(float)
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if len(wrong):
-            place = int(wrong[0]) + (1 if source.head.startswith(_PARQUET) or _is_json(source) else 2)
-            text = str(table[name].iloc[wrong[0]])[:40]
-            raise InputError(repr(text), "a finite number", path=path, line=place, column=name)
-        found[name] = values
-    if not len(table):
+    for name in cells.columns:
+        if name in COLUMNS or name.startswith("sample_"):
+            found[name] = numbers(cells, name)
+            cells.refuse(np.isnan(found[name]), name, "a finite number")
+    if not len(found["t"]):
         raise InputError("no rows", "forecasts", path=path)
     for name in ("x_std", "y_std", "radius_50", "radius_90", "ahead"):
-        if (found[name] <= 0.0).any():
-            place = int(np.argmax(found[name] <= 0.0))
-            raise InputError(f"{found[name][place]:g}", "a number above 0", path=path, column=name)
+        cells.refuse(found[name] <= 0.0, name, "a number above 0")
     return found
-
-
-def _is_json(source: Source) -> bool:
-    return source.head.lstrip().startswith(b"{")
 
 
 def _names(source: Source) -> list[str]:
     if source.head.startswith(_PARQUET):
-        import pyarrow.parquet as pq
-
-        with arrow_errors(source.path):
-            return list(pq.read_schema(io.BytesIO(source.data)).names)
+        return list(read_parquet(source).columns)
     first = next((line for line in source.head.decode("utf-8", "replace").splitlines() if line.strip()), "")
-    if _is_json(source):
+    if first.lstrip().startswith("{"):
         return [name for name in COLUMNS if f'"{name}"' in first]
     return [name.strip().strip('"') for name in first.removeprefix("\ufeff").split(",")]

@@ -47,17 +47,6 @@ def unit(angle: ArrayLike) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def circular_mean(angle: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Direction of the (weighted) resultant of the finite angles; NaN where there is none."""
-    angle = np.asarray(angle, dtype=float).ravel()
-    weights = np.ones_like(angle) if weights is None else np.asarray(weights, dtype=float).ravel()
-    use = np.isfinite(angle) & np.isfinite(weights)
-    if not use.any():
-        return float("nan")
-    resultant = weights[use] @ unit(angle[use])
-    return float(direction(resultant))
-
-
 def mean_absolute_error(estimate: ArrayLike, truth: ArrayLike) -> float:
     """Mean angular error |wrap(estimate − truth)|, radians, over the finite pairs; NaN if there is none."""
     error = np.abs(difference(estimate, truth))
@@ -133,3 +122,17 @@ def class_kappa(n_classes: int) -> float:
     This is the narrowest σ for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
     """
     return (n_classes / np.pi) ** 2
+
+
+def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
+    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where both are missing."""
+    if directions is not None and classes is None:
+        return directions
+    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
+    if classes is not None:
+        total = classes.sum(axis=1)
+        usable = np.isfinite(total) & (total > 0.0)
+        weights = classes[usable] / total[usable, None]
+        # Not `@`: its rounding depends on the number of rows, so on the other tracks of a batch.
+        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
+    return vectors

@@ -317,11 +317,17 @@ class GroundCamera:
     def distort(self, pixel: ArrayLike) -> FloatArray:
         """Raw pixels (..., 2) of ideal pixels (..., 2)."""
         pixel = np.asarray(pixel, dtype=float)
-        if self.distortion is None or self.intrinsics is None:
+        if self.distortion is None or self.intrinsics is None or pixel.size == 0:
             return pixel.copy()
-        normalised = apply_homography(np.linalg.inv(self.intrinsics), pixel)
-        bend = _bent_by_fisheye if self.lens == "fisheye" else _bent
-        return apply_homography(self.intrinsics, bend(normalised, self.distortion))
+        import cv2
+
+        ahead = apply_homography(np.linalg.inv(self.intrinsics), pixel).reshape(-1, 1, 2)
+        if self.lens == "fisheye":
+            bent = cv2.fisheye.distortPoints(ahead, np.eye(3), self.distortion)
+        else:
+            points = np.concatenate([ahead, np.ones((len(ahead), 1, 1))], axis=2)
+            bent, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), self.distortion)
+        return apply_homography(self.intrinsics, np.asarray(bent, float).reshape(pixel.shape))
 
     def image_to_ground(self, pixel: ArrayLike) -> FloatArray:
         """Ground points (..., 2) in metres of raw pixels (..., 2); NaN at and beyond the horizon."""
@@ -446,27 +452,3 @@ class GroundCamera:
     def _to_image(self) -> FloatArray:
         """Ground → ideal pixel, the third coordinate positive on the visible side."""
         return np.asarray(np.linalg.inv(self.homography), dtype=float)
-
-
-def _bent(point: FloatArray, distortion: FloatArray) -> FloatArray:
-    """Points (..., 2) at distance 1 before the camera, distorted by the lens (OpenCV's model)."""
-    k1, k2, p1, p2, k3 = distortion
-    x, y = point[..., 0], point[..., 1]
-    with np.errstate(over="ignore", invalid="ignore"):
-        r2 = x**2 + y**2
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        along = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
-        down = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
-    return np.stack([along, down], axis=-1)
-
-
-def _bent_by_fisheye(point: FloatArray, distortion: FloatArray) -> FloatArray:
-    """Points (..., 2) at distance 1 before the camera, distorted by OpenCV's fisheye model."""
-    radius = np.hypot(point[..., 0], point[..., 1])
-    angle = np.arctan(radius)
-    k1, k2, k3, k4 = distortion
-    a2 = angle**2
-    distorted = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(radius > 1e-12, distorted / radius, 1.0)
-    return np.asarray(point * factor[..., None])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -62,6 +63,9 @@ class WalkableArea:
         self._ends = np.concatenate([_segments(np.asarray(ring.coords)[:, :2]) for ring in rings])
         self._tree = shapely.STRtree(shapely.linestrings(self._ends))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return WalkableArea, (self.geometry,)
+
     @classmethod
     def of(cls, area: AreaLike) -> WalkableArea:
         """Return an area from a path, a polygon or an area.
@@ -84,6 +88,12 @@ class WalkableArea:
                 f"a walkable area of type {type(area).__name__}", "a path, or a polygon of Shapely"
             )
         return cls(geometry)
+
+    def digest(self) -> str:
+        """Return text that is the same for equal polygons and differs for others."""
+        import shapely
+
+        return sha256(shapely.to_wkb(shapely.normalize(self.geometry))).hexdigest()[:16]
 
     def contains(self, position: FloatArray) -> NDArray[np.bool_]:
         """Return a mask (n,), True for positions (n, 2) in the area or on its border; False where NaN."""
@@ -146,21 +156,27 @@ class WalkableArea:
         """Return a path (k, 2) from ``start`` (2,) that follows the walls where it would cross them.
 
         A point beyond a wall is replaced by the nearest point of the area, `MARGIN` from its walls,
-        or by the previous point where the straight way there crosses a wall, too. A path that begins outside
-        is returned unchanged.
+        or by the previous point where the straight way there crosses a wall, too. A start outside, such as a
+        noisy observation, is replaced by the nearest point in the same way.
         """
         import shapely
 
-        if not self.contains(start[None])[0]:
-            return path
         found, here = np.array(path, dtype=float), np.asarray(start, dtype=float)
+        if not self.contains(here[None])[0]:
+            here = self._nearest(here)
         for k, point in enumerate(found):
             if np.isfinite(point).all() and not self.geometry.covers(shapely.LineString([here, point])):
-                nearest = shapely.shortest_line(self._inner, shapely.Point(point)).coords[0]
+                nearest = self._nearest(point)
                 is_free = self.geometry.covers(shapely.LineString([here, nearest]))
                 found[k] = nearest if is_free else here
             here = found[k]
         return found
+
+    def _nearest(self, point: FloatArray) -> FloatArray:
+        """Return the nearest point (2,) of the inner area."""
+        import shapely
+
+        return np.array(shapely.shortest_line(self._inner, shapely.Point(point)).coords[0])
 
     def _near(self, position: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs of a position and a segment within `REACH`, or the nearest segment of one outside."""

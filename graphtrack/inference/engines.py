@@ -1,15 +1,30 @@
-"""Choice of the engine that interprets a model, offline and online."""
+"""Engines: choice, options, results, the diagnosis of extreme input, and compilation ahead of use."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from graphtrack.errors import InputError
-from graphtrack.inference.chain.batch import is_chain
-from graphtrack.inference.result import OfflineEngine
-from graphtrack.model import Model
-from graphtrack.tracks.validation import is_number
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
+from graphtrack.inference.chain.covariance import calibration_of
+from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
+from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.graph.chain_view import ChainView
+from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
+from graphtrack.model import Model, Observation, Step
+from graphtrack.model.observation import chain, observations, seconds_between
+from graphtrack.tracks.display import counted, html_pairs
+from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import check_count, is_number
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
@@ -58,3 +73,309 @@ def check_lag(lag: float | None, engine: OnlineEngine) -> None:
         raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
     if lag is not None and not (is_number(lag) and math.isfinite(lag) and lag > 0.0):
         raise InputError(f"lag = {lag!r}", "a positive number of seconds")
+
+
+OfflineEngine = Literal["chain", "gtsam"]
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Termination criteria and options of the offline solvers.
+
+    Attributes
+    ----------
+    max_iterations : most steps
+    relative_tolerance : of the cost. GTSAM stops after a smaller decrease; the chain engine, whose steps
+        converge quadratically, when the predicted decrease is less than a thousandth of it.
+    step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
+    basin_search : basin search: where observations contradict each other, search a grid of orientations for a
+        better basin, and descend from there (with GTSAM too, where every term has compiled kernels)
+    """
+
+    max_iterations: int = 100
+    relative_tolerance: float = 1e-9
+    step_tolerance: float = 1e-6
+    basin_search: bool = True
+
+    def __post_init__(self) -> None:
+        check_count("max_iterations", self.max_iterations)
+        for name in ("relative_tolerance", "step_tolerance"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
+                raise InputError(f"{name} = {value!r}", "a finite number that is not negative")
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The smoothed solution of one track.
+
+    Attributes
+    ----------
+    track : the estimates, with ``velocity`` and ``covariance``
+    initial_cost, cost : negative log density at the start and at the end
+    iterations : steps taken
+    converged : True if a tolerance was met
+    engine : "chain" or "gtsam"
+    """
+
+    track: Track
+    initial_cost: float
+    cost: float
+    iterations: int
+    converged: bool
+    engine: OfflineEngine
+
+    def __repr__(self) -> str:
+        parts = [f"track {self.track.track_id}", counted(len(self.track), "frame"), *self._outcome().values()]
+        return f"Solution({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        return html_pairs(f"Solution: {self.track!r}", self._outcome())
+
+    def _outcome(self) -> dict[str, str]:
+        return {
+            "cost": f"cost {self.initial_cost:.6g} → {self.cost:.6g}",
+            "steps": counted(self.iterations, "step"),
+            "end": "converged" if self.converged else "not converged",
+            "engine": self.engine,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Failure:
+    """A track that could not be smoothed, and the reason."""
+
+    track_id: int
+    reason: str
+
+
+def estimated_tracks(
+    tracks: Sequence[Track],
+    offsets: NDArray[np.int64],
+    states: FloatArray,
+    covariance: FloatArray,
+    modes: FloatArray,
+) -> list[Track]:
+    """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
+
+    Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
+    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, and ``covariance`` is
+    not copied.
+    """
+    position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
+    optional = {
+        "body": states[:, 4],
+        "head": states[:, 5],
+        "aligned_p": modes[:, 0],
+        "gait_offset": modes[:, 1],
+        "glance_p": modes[:, 2],
+    }
+    has = {name: np.isfinite(other[offsets[:-1]]) for name, other in optional.items()}
+    optional = {name: other.copy() for name, other in optional.items() if has[name].any()}
+    there = [(name, other, has[name].tolist()) for name, other in optional.items()]
+    starts, found = offsets.tolist(), []
+    for m, track in enumerate(tracks):
+        rows = slice(starts[m], starts[m + 1])
+        channels = {name: other[rows] for name, other, is_there in there if is_there[m]}
+        found.append(
+            track.with_estimates(
+                position=position[rows], velocity=velocity[rows], covariance=covariance[rows], **channels
+            )
+        )
+    return found
+
+
+_USUAL = {"position_std": (1e-4, 1e3), "body_kappa": (0.0, 1e6), "head_kappa": (0.0, 1e6)}
+"""Values of the channels for which the solvers are well conditioned."""
+
+_SHORTEST, _FARTHEST = 1e-5, 1e6  # Seconds between frames, and metres from the origin, likewise
+
+NOT_FINITE = "the estimate is not finite"
+
+_INDETERMINATE = re.compile(
+    r"Indetermin(?:ate|ant) linear system.*?near variable\s+\d+ \(Symbol: (\w+)\)", re.DOTALL
+)
+"""GTSAM's message for a linear system without a unique solution, with the variable."""
+_NUMERICAL = (_INDETERMINATE, re.compile("a step of the solver is not finite"))
+"""Reasons that extreme input can cause."""
+
+
+def not_finite(track: Track, model: Model) -> str:
+    """Reason for a non-finite estimate of a track, with the input that is the likeliest cause."""
+    return with_extreme(NOT_FINITE, track, model)
+
+
+def with_extreme(reason: str, track: Track, model: Model) -> str:
+    """Failure reason of a track, with its most extreme input, if there is one."""
+    return with_extreme_of(reason, list(observations(track)), model)
+
+
+def with_extreme_of(reason: str, observed: Sequence[Observation], model: Model) -> str:
+    """The same of some observations, such as those of a window."""
+    return _joined(reason, _extremes(observed, model))
+
+
+def _extremes(observed: Sequence[Observation], model: Model) -> Iterator[tuple[float, str]]:
+    """Yield the factor by which each extreme input exceeds its usual range, and its name."""
+    t = np.array([one.t for one in observed], dtype=float)
+    frame, dt = np.array([one.frame for one in observed]), np.diff(t)
+    if dt.size and 0.0 < dt.min() < _SHORTEST:
+        k = int(dt.argmin())
+        words = f"{dt[k]:.3g} s between the frames {frame[k]} and {frame[k + 1]}"
+        yield _SHORTEST / dt[k], f"{words}, expected at least {_SHORTEST:g} s"
+    none = math.nan, math.nan
+    position = np.array([none if one.position is None else one.position for one in observed])
+    yield from _outside(np.abs(position).max(axis=1), frame, (0.0, _FARTHEST), "a coordinate of {} m")
+    for name, usual in _USUAL.items():
+        values = np.array([getattr(one, name) for one in observed], dtype=float)  # None becomes NaN
+        yield from _outside(values, frame, usual, f"{name} = {{}}")
+    std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
+    if not low <= std <= high:
+        words = f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}"
+        yield max(low / std, std / high), words
+
+
+def _outside(
+    values: FloatArray, frame: NDArray[np.int64], usual: tuple[float, float], words: str
+) -> Iterator[tuple[float, str]]:
+    low, high = usual
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return
+    k, m = int(known[values[known].argmin()]), int(known[values[known].argmax()])
+    expected = f", expected {low:g} to {high:g}" if low else f", expected at most {high:g}"
+    if low and values[k] < low:
+        factor = low / values[k] if values[k] > 0.0 else math.inf
+        yield factor, f"{words.format(f'{values[k]:.3g}')} in frame {frame[k]}{expected}"
+    if values[m] > high:
+        yield values[m] / high, f"{words.format(f'{values[m]:.3g}')} in frame {frame[m]}{expected}"
+
+
+def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
+    """The reason and the most extreme input; only the input for a numerical reason that it explains."""
+    worst = max(extremes, default=None)
+    if worst is not None:
+        return f"{NOT_FINITE if any(one.match(reason) for one in _NUMERICAL) else reason}: {worst[1]}"
+    indeterminate = _INDETERMINATE.match(reason)
+    if indeterminate is None:
+        return reason
+    return f"the linear system has no unique solution: the factors do not determine {indeterminate[1]}"
+
+
+OFFLINE = "the offline solver"
+
+
+def make_all_ready(
+    model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
+) -> None:
+    """Compile, or load, all functions for smoothing and tracking with a model and an engine.
+
+    ``large``: also the solver of many tracks in lanes, where the model has it.
+    """
+    if not is_chain(model):
+        make_ready(OFFLINE, _graph_rehearsal(None))
+    elif engine == "gtsam":
+        make_solver_ready(model, engine)
+    elif engine in ("fixed-lag", "isam2"):
+        make_online_ready(model, engine)
+    else:
+        ways = (False, True) if large and has_lanes(model) else (False,)
+        make_ready("the solver", *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
+
+
+def make_solver_ready(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None = None,
+    in_lanes: Collection[bool] = (False,),
+    *,
+    complete: bool = False,
+) -> None:
+    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not.
+
+    ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
+    terms.
+    """
+    if engine == "chain":
+        make_ready(OFFLINE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
+        return
+    own = has_own_kernels(model) and not model.has_modes
+    make_ready(OFFLINE, _graph_rehearsal(None if own and not complete else model))
+
+
+def make_online_ready(model: Model, engine: OnlineEngine) -> None:
+    """Compile, or load, the functions of a compiled window, or those of GTSAM's online engines."""
+    make_ready(
+        "the online solver", _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
+    )
+
+
+def has_own_kernels(model: Model) -> bool:
+    """Return True if a model has kernels that no preset has: an engine is compiled for them."""
+    return any("kernels" in vars(kind) for kind in model.own_terms)
+
+
+def _chain_rehearsals(
+    model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
+) -> list[Rehearsal]:
+    """Return rehearsals of the chain engine: the linear solution for linear models, and Newton's steps."""
+    # Linear with the camera of a scene, where its tracks have no pixels.
+    linear, like = model.is_linear(pack([TRACK], model)), _like(model)
+    found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []
+    if linear and camera is None and not complete:
+        return found
+    if not all(in_lanes):
+        found.append(Rehearsal(f"offline {_kind(model)}", lambda: _solve(like), 25.0))
+    if any(in_lanes):
+        found.append(Rehearsal(f"lanes {_kind(model)}", lambda: _solve(like, in_lanes=True), 25.0))
+    return found
+
+
+def _graph_rehearsal(model: Model | None) -> Rehearsal:
+    """Return the rehearsal of GTSAM's engines; without basin search and coupling modes for None."""
+    known = None if model is None else model.compiled
+    if known is None or not (known.has_body or known.has_head):
+        return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
+    return Rehearsal(f"graph {_kind(known)}", lambda: _search(_like(known)), 8.0)
+
+
+def _online_rehearsal(model: Model) -> Rehearsal:
+    """Return the rehearsal of the compiled window."""
+    like = _like(model)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
+
+
+def _like(model: Model) -> Model:
+    """A model that calls the same functions, with any parameters."""
+    if has_own_kernels(model):
+        return Model(model.preset, terms=model.own_terms)
+    return Model("full" if model.has_modes else "joint")
+
+
+def _kind(model: Model) -> str:
+    """Return a key of the functions that a model calls."""
+    own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
+    return ("modes" if model.has_modes else "angles") + "".join(own)
+
+
+def _solve(model: Model, *, in_lanes: bool = False) -> None:
+    calibration = calibration_of(model.parameters)
+    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes, calibration=calibration)
+
+
+def _search(model: Model) -> None:
+    initial_states(TRACK, Model("position"))
+    view, states = ChainView(model), np.zeros((len(TRACK), 6))
+    view.follow(chain(TRACK), states, None, whole=True)
+    view.other(states, 0.0)
+    if model.has_modes:
+        view.renew(states)
+        view.widen(states, np.zeros((len(TRACK), 6, 6)))
+
+
+def _slide(window: ChainWindow) -> None:
+    previous = None
+    for k, observation in enumerate(observations(TRACK)):
+        step = Step(k, observation, previous, seconds_between(previous, observation), previous is None)
+        window.extend(step, (*TRACK.position[k].tolist(), 0.0, 0.0, 0.0, 0.0))
+        previous = step.alone()

@@ -16,17 +16,17 @@ from graphtrack.inference.chain.batch import fit_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack_to_solve
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
-from graphtrack.inference.engines import engine_of
-from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.result import (
+from graphtrack.inference.engines import (
     Failure,
     OfflineEngine,
     Solution,
     SolverOptions,
+    engine_of,
     estimated_tracks,
+    make_solver_ready,
     not_finite,
 )
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
@@ -80,12 +80,8 @@ def smooth_track(
     SolveError
         If there are no positions, or the result is not finite or worse than the start.
     """
-    options = SolverOptions() if options is None else options
-    solver = engine_of(model, engine)
-    make_solver_ready(model, solver, camera)
-    if solver == "gtsam":
-        return smooth_graph(track, model, camera, options)
-    (result,) = _solve_chains([track], model, camera, options)
+    solver, alone = engine_of(model, engine), TrackSet((track,), camera=camera)
+    (result,) = solve_each(alone, model, solver, jobs=1, options=options)
     if isinstance(result, Failure):
         raise SolveError(result.track_id, result.reason)
     return result

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -19,13 +18,19 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
-from graphtrack.inference.engines import OnlineEngine, check_lag, online_engine
+from graphtrack.inference.engines import (
+    OnlineEngine,
+    check_lag,
+    make_online_ready,
+    online_engine,
+    with_extreme_of,
+)
 from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
-from graphtrack.inference.result import with_extreme_of
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,
@@ -38,19 +43,18 @@ from graphtrack.inference.state import (
     predicted,
     unpack_state,
 )
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
+from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged
 from graphtrack.tracks.display import html_pairs
 
 
 def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
     """The window with one more observation, in a step like ``template`` or in place of one; linked again."""
-    values = dict(window.values)
-    steps = list(window.steps[:place])
+    states, steps = window.states, list(window.steps[:place])
     if inserted:
-        values[template.index] = _between(window, steps[-1], window.steps[place], observation.t)
+        states = np.insert(states, place, _between(window, place, observation.t), axis=0)
     else:
         template = replace(window.steps[place], observation=observation)
     for step in (template, *window.steps[place if inserted else place + 1 :]):
@@ -59,7 +63,7 @@ def worked_in(window: Window, observation: Observation, place: int, inserted: bo
             dt = seconds_between(previous, step.observation)
             step = replace(step, previous=previous, dt=dt)
         steps.append(step)
-    return replace(window, steps=tuple(steps), values=values)
+    return replace(window, steps=tuple(steps), states=states)
 
 
 def merged(known: Observation, new: Observation) -> Observation | None:
@@ -74,14 +78,14 @@ def merged(known: Observation, new: Observation) -> Observation | None:
     return replace(known, **added) if added else None
 
 
-def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
-    """Initial state at t, between two steps of the window."""
-    start, end = before.observation.t, after.observation.t
+def _between(window: Window, place: int, t: float) -> FloatArray:
+    """Initial state (6,) at t, between the step at a place of the window and the previous one."""
+    start, end = (step.observation.t for step in window.steps[place - 1 : place + 1])
     share = (t - start) / (end - start)
-    a, b = np.array(window.values[before.index]), np.array(window.values[after.index])
+    a, b = window.states[place - 1 : place + 1]
     state = a + share * (b - a)
     state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
-    return tuple(state.tolist())
+    return np.asarray(state)
 
 
 _PROMISED_DECREASE = 1e-8
@@ -100,6 +104,9 @@ class OnlineSmoother:
         "isam2"
     lag : seconds of history that are re-estimated; None: all of it, with isam2
     camera : camera of the scene, for observations in pixels
+    walkable : area in which the person walks, in metres: a file of GeoJSON or well-known text, or a polygon
+        of Shapely or PedPy. The walls of a frame are those near its observed position or, without one, near
+        the last estimate; they are part of `state`, the area is not
     relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
         again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
@@ -121,6 +128,7 @@ class OnlineSmoother:
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
+        walkable: AreaLike | None = None,
         relinearize_threshold: float = 0.05,
         step_tolerance: float = 0.05,
         max_iterations: int = 20,
@@ -131,7 +139,9 @@ class OnlineSmoother:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
-        self.model = Model.named(model)
+        self._walkable = None if walkable is None else WalkableArea.of(walkable)
+        chosen = Model.named(model)
+        self.model = chosen if walkable is None else chosen.with_terms(StaysInside)
         self.engine = online_engine(self.model, engine)
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
@@ -174,7 +184,8 @@ class OnlineSmoother:
         InputError
             If a time or value is not a number within bounds. The state is then unchanged.
         """
-        return self._take(self.usable(observation))
+        (estimate,) = self.update_together([self], [self.usable(observation)])
+        return estimate
 
     def usable(self, observation: Observation) -> Observation:
         """Return the checked observation, with the position of its pixel; InputError as `update`."""
@@ -191,20 +202,19 @@ class OnlineSmoother:
         smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
     ) -> list[Estimate]:
         """Make each smoother's `update` in few calls into compiled code; observations as from `usable`."""
+        observations = _with_walls(smoothers, observations)
         estimates: list[Estimate | None] = [None] * len(smoothers)
         indices: list[int] = []
         windows: list[ChainWindow] = []
         steps: list[Step] = []
         for k, (smoother, observation) in enumerate(zip(smoothers, observations, strict=True)):
-            window = smoother._smoother
-            if (
-                isinstance(window, ChainWindow)
-                and window.steps
-                and observation.t > window.steps[-1].observation.t
-            ):
+            window, before = smoother._smoother, smoother._smoother.steps
+            if isinstance(window, ChainWindow) and before and observation.t > before[-1].observation.t:
                 indices.append(k)
                 windows.append(window)
-                steps.append(smoother._next_step(observation, window.steps[-1]))
+                # A window needs no link to its newest step.
+                dt = observation.t - before[-1].observation.t
+                steps.append(Step(smoother._next_index, observation, None, dt, False, smoother.camera))
             else:
                 estimates[k] = smoother._take(observation)
         for k, found in zip(indices, extend_together(windows, steps), strict=True):
@@ -228,19 +238,21 @@ class OnlineSmoother:
         steps = [step for step in window.steps if step.observation.t < since]
         if not steps:
             return None
-        known = {step.observation.t: window.values[step.index] for step in window.steps}
-        values = {step.index: window.values[step.index] for step in steps}
-        for observation in map(self.usable, observations):
+        times = (step.observation.t for step in window.steps)
+        known = dict(zip(times, window.states, strict=True))
+        states = list(window.states[: len(steps)])
+        usable = list(map(self.usable, observations))
+        for observation in _with_walls([self] * len(usable), usable):
             previous = steps[-1].alone()
             dt = seconds_between(previous, observation)
             steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
-            state = np.array(values[previous.index])
+            state = states[-1].copy()
             state[:2] += dt * state[2:4]
-            values[self._next_index] = known.get(observation.t, tuple(state.tolist()))
+            states.append(known.get(observation.t, state))
             self._next_index += 1
         latest = steps[-1].observation
         try:
-            newest = self._smoother.rework(replace(window, steps=tuple(steps), values=values))
+            newest = self._smoother.rework(replace(window, steps=tuple(steps), states=np.array(states)))
         except FAILURES as error:
             return self._failed(latest, error)
         return self._estimate(newest, latest, "late")
@@ -258,24 +270,18 @@ class OnlineSmoother:
 
     def history(self) -> list[tuple[float, FloatArray]]:
         """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
-        smoother = self._smoother
-        return [(step.observation.t, np.array(smoother.state(step))) for step in smoother.steps]
+        times = (step.observation.t for step in self._smoother.steps)
+        return list(zip(times, self._smoother.states(), strict=True))
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
-        smoother = self._smoother
-        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
-        return pack_state(saved) | {"terms": self._terms()}
+        return self.later_state()()
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
-        """Return a function that computes the present `state` later; quick with the chain engine."""
+        """Return a function that computes the present `state` later."""
         smoother = self._smoother
-        if not isinstance(smoother, ChainWindow):
-            found = self.state()
-            return lambda: found
-        kept = copy(self)
-        kept._smoother = smoother.snapshot()
-        return kept.state
+        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
+        return lambda: pack_state(saved) | {"terms": self._terms()}
 
     @classmethod
     def from_state(
@@ -316,21 +322,14 @@ class OnlineSmoother:
 
     def _append(self, observation: Observation) -> Estimate:
         steps, smoother = self._smoother.steps, self._smoother
-        if steps and isinstance(smoother, ChainWindow):
-            (found,) = extend_together([smoother], [self._next_step(observation, steps[-1])])
-            return self._extended(found, observation)
         previous = steps[-1].alone() if steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            return self._extended(smoother.extend(step, predicted(step, smoother.state)), observation)
+            before = smoother.states(1)[0] if steps else None
+            return self._extended(smoother.extend(step, predicted(step, before)), observation)
         except FAILURES as error:
             return self._extended(error, observation)
-
-    def _next_step(self, observation: Observation, newest: Step) -> Step:
-        """The step after the newest of a chain's window, which needs no link to it."""
-        dt = observation.t - newest.observation.t
-        return Step(self._next_index, observation, None, dt, False, self.camera)
 
     def _extended(self, found: Newest | Exception, observation: Observation) -> Estimate:
         if isinstance(found, Exception):
@@ -403,3 +402,29 @@ class OnlineSmoother:
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)
+
+
+def _with_walls(
+    smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
+) -> Sequence[Observation]:
+    """Return each smoother's observation with the walls near it, found for all at once."""
+    if all(one._walkable is None for one in smoothers):
+        return observations
+    found = list(observations)
+    rows_of: dict[WalkableArea, list[int]] = {}
+    for row, (smoother, one) in enumerate(zip(smoothers, observations, strict=True)):
+        if smoother._walkable is not None and WALL_INPUT not in one.inputs:
+            rows_of.setdefault(smoother._walkable, []).append(row)
+    for area, rows in rows_of.items():
+        position = np.array([_place(smoothers[row], observations[row]) for row in rows], dtype=float)
+        for row, one in zip(rows, with_walls_at([found[row] for row in rows], position, area), strict=True):
+            found[row] = one
+    return found
+
+
+def _place(smoother: OnlineSmoother, observation: Observation) -> Sequence[float]:
+    """Return the observed position or, without one, that of the last estimate; NaN before the first."""
+    if observation.position is not None:
+        return observation.position
+    last = smoother.last
+    return (math.nan, math.nan) if last is None else last.position.tolist()

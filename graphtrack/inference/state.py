@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple
@@ -16,10 +16,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, N
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.factors import variable_dimension
 from graphtrack.model.observation import CHANNELS
 from graphtrack.packages import gtsam
-from graphtrack.saved import DAMAGES, damaged, from_text, integer, real, to_text
+from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -42,12 +41,7 @@ def checked(observation: Observation) -> Observation:
         raise InputError(found, "an Observation; its channels are None where nothing was observed")
     if observation.inputs:
         observation = replace(observation, inputs=_checked_inputs(observation.inputs))
-    try:
-        if _wrong(observation) is None:
-            return observation
-    except (TypeError, ValueError):  # no numbers at all
-        pass
-    return _repaired(observation)
+    return observation if _is_valid(observation) else _repaired(observation)
 
 
 def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float, ...]]:
@@ -78,23 +72,23 @@ def _shown(value: object) -> str:
     return " ".join(repr(value).split())[:60]
 
 
-def _wrong(observation: Observation) -> str | None:
-    """The first channel with an invalid value; it is called for every observation."""
-    if not -LARGEST_SECONDS <= observation.t <= LARGEST_SECONDS:
-        return "t"
-    for name, low, high, size in _CHECKS:
-        value = getattr(observation, name)
-        if value is None:
-            continue
-        if size:
-            if type(value) is not tuple or len(value) != size:
-                return name
-            for number in value:
+def _is_valid(observation: Observation) -> bool:
+    """Return True if all channels are numbers, or tuples of them, within bounds; for every observation."""
+    try:
+        if not -LARGEST_SECONDS <= observation.t <= LARGEST_SECONDS:
+            return False
+        for name, low, high, size in _CHECKS:
+            value = getattr(observation, name)
+            if value is None:
+                continue
+            if size and (type(value) is not tuple or len(value) != size):
+                return False
+            for number in value if size else (value,):
                 if not low <= number <= high:
-                    return name
-        elif not low <= value <= high:
-            return name
-    return None
+                    return False
+    except (TypeError, ValueError):  # no numbers at all
+        return False
+    return True
 
 
 def _repaired(observation: Observation) -> Observation:
@@ -114,129 +108,73 @@ def _repaired(observation: Observation) -> Observation:
 
 @dataclass(frozen=True, eq=False)
 class MarginalPrior:
-    """½·dᵀ·Λ·d − ηᵀ·d + ½·c, with d the deviation from a linearisation point.
+    """½·dᵀ·Λ·d − ηᵀ·d + ½·c on the state of a step, d its deviation from a linearisation point.
 
     Attributes
     ----------
-    keys : GTSAM keys of the variables, in order
-    point : their values at the linearisation point: 2 numbers for X and V, an angle (radians) for B and H
-    information, linear, constant : Λ, η and c
+    information, linear, constant : Λ (6, 6), η (6,) and c; zero for coordinates outside the model
+    point : (6,) the linearisation point: metres, m/s, radians
     """
-
-    keys: tuple[int, ...]
-    point: tuple[tuple[float, ...], ...]
-    information: FloatArray
-    linear: FloatArray
-    constant: float
-
-    def __post_init__(self) -> None:
-        sizes = [variable_dimension(key) for key in self.keys]
-        n = sum(sizes)
-        if [len(point) for point in self.point] != sizes:
-            raise ValueError("the linearisation point does not fit the keys")
-        if self.information.shape != (n, n) or self.linear.shape != (n,):
-            raise ValueError(f"Λ {self.information.shape} and η {self.linear.shape} for {n} dimensions")
-
-    def values(self) -> gtsam.Values:
-        """The linearisation point."""
-        values = gtsam.Values()
-        for key, point in zip(self.keys, self.point, strict=True):
-            values.insert(key, np.array(point) if len(point) == 2 else gtsam.Rot2(point[0]))
-        return values
-
-    def firm(self, kappa: float) -> MarginalPrior:
-        """The same prior with at least a given concentration on each orientation."""
-        information, place = self.information.copy(), 0
-        for point in self.point:
-            if len(point) == 1:
-                information[place, place] = max(information[place, place], kappa)
-            place += len(point)
-        return replace(self, information=information)
-
-    def turned(self, turns: Mapping[int, float], near: float) -> MarginalPrior:
-        """The same prior in another basin: key → radians to there; ``near``: cosine within the same basin."""
-        point = tuple(
-            (there[0] + turns[key],) if len(there) == 1 and math.cos(turns[key]) < near else there
-            for key, there in zip(self.keys, self.point, strict=True)
-        )
-        return replace(self, point=point)
-
-    def factor(self) -> gtsam.LinearContainerFactor:
-        """The factor, with its linearisation point: without one its error would be 0 everywhere."""
-        sizes = [variable_dimension(key) for key in self.keys]
-        ends = np.cumsum(sizes)
-        place = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
-        parts = gtsam.GaussianFactorGraph()
-        for i, key in enumerate(self.keys):
-            constant = self.constant if i == 0 else 0.0
-            block = self.information[place[i], place[i]]
-            parts.push_back(gtsam.HessianFactor(key, block, self.linear[place[i]], constant))
-        # GTSAM's Python offers Hessian factors of up to three variables; sums of pairs make larger ones.
-        for i, j in combinations(range(len(self.keys)), 2):
-            parts.push_back(
-                gtsam.HessianFactor(
-                    self.keys[i],
-                    self.keys[j],
-                    np.zeros((sizes[i], sizes[i])),
-                    self.information[place[i], place[j]],
-                    np.zeros(sizes[i]),
-                    np.zeros((sizes[j], sizes[j])),
-                    np.zeros(sizes[j]),
-                    0.0,
-                )
-            )
-        return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), self.values())
-
-
-def marginal_prior(factor: gtsam.HessianFactor, linearization: gtsam.Values) -> MarginalPrior:
-    """The prior of a marginal that was computed at a linearisation point."""
-    keys = tuple(factor.keys())
-    point = tuple(
-        tuple(linearization.atVector(key).tolist())
-        if variable_dimension(key) == 2
-        else (linearization.atRot2(key).theta(),)
-        for key in keys
-    )
-    # A copy: GTSAM returns a view of memory that the factor frees.
-    linear = np.array(factor.linearTerm()).ravel()
-    return MarginalPrior(keys, point, factor.information(), linear, float(factor.constantTerm()))
-
-
-class StatePrior(NamedTuple):
-    """The same on a state of six: Λ (6, 6), η (6,) and the point; zero for coordinates outside the model."""
 
     information: FloatArray
     linear: FloatArray
     point: FloatArray
+    constant: float = 0.0
+
+    @classmethod
+    def of(
+        cls, factor: gtsam.HessianFactor, step: Step, linearization: gtsam.Values, model: Model
+    ) -> MarginalPrior:
+        """A marginal on the variables of a step, computed at a linearisation point."""
+        parts, keys = dict(variables(step, model)), factor.keys()
+        rows = np.concatenate([np.arange(N)[parts[key]] for key in keys])
+        information, linear = np.zeros((N, N)), np.zeros(N)
+        information[np.ix_(rows, rows)] = factor.information()
+        linear[rows] = np.array(factor.linearTerm()).ravel()
+        point = np.nan_to_num(read_step(linearization, step, model))
+        return cls(information, linear, point, float(factor.constantTerm()))
+
+    def rows(self, origin: FloatArray) -> FloatArray:
+        """Λ, η and the point relative to an origin (2,) in metres, as rows (8, 6) for the kernels."""
+        rows = np.vstack([self.information, self.linear, self.point])
+        rows[N + 1, :2] -= origin
+        return rows
+
+    def firm(self, kappa: float) -> MarginalPrior:
+        """The same prior with at least a given concentration on each orientation."""
+        information = self.information.copy()
+        for place in (BODY, HEAD):
+            information[place, place] = max(information[place, place], kappa)
+        return replace(self, information=information)
+
+    def turned(self, turns: FloatArray, near: float) -> MarginalPrior:
+        """The prior in another basin: radians (2,) to there; ``near``: cosine within the same basin."""
+        point = self.point.copy()
+        point[BODY:] += np.where(np.cos(turns) < near, turns, 0.0)
+        return replace(self, point=point)
+
+    def factor(self, step: Step, model: Model) -> gtsam.LinearContainerFactor:
+        """The factor, with its linearisation point: without one its error would be 0 everywhere."""
+        parts, keys = gtsam.GaussianFactorGraph(), variables(step, model)
+        for key, rows in keys:
+            constant = self.constant if key == keys[0][0] else 0.0
+            parts.push_back(
+                gtsam.HessianFactor(key, self.information[rows, rows], self.linear[rows], constant)
+            )
+        # GTSAM's Python offers Hessian factors of up to three variables; sums of pairs make larger ones.
+        for (first, rows), (second, columns) in combinations(keys, 2):
+            block, left, right = self.information[rows, columns], np.zeros(N)[rows], np.zeros(N)[columns]
+            corners = np.zeros((len(left), len(left))), np.zeros((len(right), len(right)))
+            parts.push_back(
+                gtsam.HessianFactor(first, second, corners[0], block, left, corners[1], right, 0.0)
+            )
+        values = values_of([step], self.point[None], model)
+        return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), values)
 
 
 def variable_keys(step: Step, model: Model) -> list[int]:
     """GTSAM keys of the variables of a step, in the order of the state."""
     return [key for key, _ in variables(step, model)]
-
-
-def on_state(prior: MarginalPrior, step: Step, model: Model) -> StatePrior:
-    """A prior on the variables of a step, on its state."""
-    parts = dict(variables(step, model))
-    rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
-    found = StatePrior(np.zeros((N, N)), np.zeros(N), np.zeros(N))
-    found.information[np.ix_(rows, rows)] = prior.information
-    found.linear[rows] = prior.linear
-    found.point[rows] = np.concatenate([np.array(point) for point in prior.point])
-    return found
-
-
-def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
-    """The inverse of `on_state`."""
-    variables_of_step = variables(step, model)
-    rows = np.concatenate([np.arange(N)[part] for _, part in variables_of_step])
-    return MarginalPrior(
-        tuple(key for key, _ in variables_of_step),
-        tuple(tuple(prior.point[part].tolist()) for _, part in variables_of_step),
-        prior.information[np.ix_(rows, rows)],
-        prior.linear[rows],
-        0.0,
-    )
 
 
 def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
@@ -249,7 +187,7 @@ def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     return found
 
 
-STATE_VERSION = 4
+STATE_VERSION = 5
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """Errors of a smoother for an observation that it cannot use."""
@@ -333,17 +271,20 @@ class Window:
     Attributes
     ----------
     steps : the steps whose variables are not marginalised, oldest first
-    values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
+    states : (n, 6) their linearisation points: x, y, vx, vy, body, head (metres, m/s, radians)
     prior : marginal of the earlier steps; None if there were none
     anchor : else the angles (radians) at which first orientations are held; see `graph.batch.beginning`
     modes : probabilities of the coupling modes before the window
     """
 
     steps: tuple[Step, ...]
-    values: dict[int, tuple[float, ...]]
+    states: FloatArray
     prior: MarginalPrior | None
     anchor: Angles | None
     modes: FloatArray | None = None
+
+
+EMPTY = Window((), np.zeros((0, N)), None, None)
 
 
 def present(model: Model) -> list[int]:
@@ -359,14 +300,17 @@ def leaving(steps: Sequence[Step], lag: float, newest: Step | None = None) -> in
     return bisect_left(steps, horizon, key=lambda step: step.observation.t)
 
 
-def predicted(step: Step, state_of: Callable[[Step], tuple[float, ...]]) -> tuple[float, ...]:
-    """Initial values of a new step: constant velocity, angles constant or as observed."""
+def predicted(step: Step, before: FloatArray | None) -> tuple[float, ...]:
+    """Initial values of a new step: constant velocity, angles constant or as observed.
+
+    ``before`` (6,) is the state of the previous step; None without one.
+    """
     observation = step.observation
-    if step.previous is None or step.dt is None:
+    if before is None or step.dt is None:
         x, y = observation.position if observation.position is not None else (math.nan, math.nan)
         vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
     else:
-        x, y, vx, vy, body, head = state_of(step.previous)
+        x, y, vx, vy, body, head = before.tolist()
         x, y = x + step.dt * vx, y + step.dt * vy
     if not math.isfinite(body):
         body = next((a for a in (observation.body, observation.head) if a is not None), 0.0)
@@ -419,44 +363,28 @@ class SavedState(NamedTuple):
     next_index: int
 
 
-def pack_state(state: SavedState) -> dict[str, Any]:
-    """A state as JSON-able data: NaN becomes null, and arrays Base64 of their bytes."""
-    window, prior, last = state.window, state.window.prior, state.last
+def pack_state(saved: SavedState) -> dict[str, Any]:
+    """A state as JSON-able data: arrays as Base64 of their bytes."""
+    window, prior, last = saved.window, saved.window.prior, saved.last
+    steps = [
+        {name: getattr(step, name) for name in ("index", "starts", "dt")}
+        | {"observation": pack_observation(step.observation)}
+        for step in window.steps
+    ]
+    arrays = {
+        "states": window.states,
+        "prior": None if prior is None else vars(prior),
+        "anchor": None if window.anchor is None else np.array(window.anchor),
+        "modes": window.modes,
+    }
     return {
         "version": STATE_VERSION,
-        "engine": state.engine,
-        "next_index": state.next_index,
-        "steps": [
-            {
-                "index": step.index,
-                "starts": step.starts,
-                "dt": step.dt,
-                "values": _nulls(window.values[step.index]),
-                "observation": pack_observation(step.observation),
-            }
-            for step in window.steps
-        ],
-        "prior": None
-        if prior is None
-        else {
-            "keys": list(prior.keys),
-            "point": [list(point) for point in prior.point],
-            "information": prior.information.tolist(),
-            "linear": prior.linear.tolist(),
-            "constant": prior.constant,
-        },
-        "anchor": None if window.anchor is None else _nulls(window.anchor),
-        "modes": None if window.modes is None else window.modes.tolist(),
-        "arrays": {name: to_text(values) for name, values in state.arrays.items()},
-        "last": None
-        if last is None
-        else {
-            "t": last.t,
-            "frame": last.frame,
-            "state": _nulls((*last.position, *last.velocity, last.body, last.head)),
-            "covariance": [_nulls(row) for row in last.covariance],
-            "modes": _nulls((last.aligned_p, last.gait_offset, last.glance_p)),
-        },
+        "engine": saved.engine,
+        "next_index": saved.next_index,
+        "steps": steps,
+        "window": pack_tree(arrays),
+        "arrays": pack_tree(saved.arrays),
+        "last": None if last is None else _pack_estimate(last),
     }
 
 
@@ -468,9 +396,7 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
     integer(saved["frame"])
-    for value in saved.values():
-        _check_numbers(value)
-    return checked(Observation(**{name: _tuples(value) for name, value in saved.items()}))
+    return checked(Observation(**saved))
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
@@ -480,18 +406,17 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
     try:
         return SavedState(
             state["engine"],
-            _window(state, camera),
-            {name: from_text(text) for name, text in state["arrays"].items()},
-            None if state["last"] is None else _estimate(state["last"]),
+            _unpack_window(state, camera),
+            unpack_tree(state["arrays"]),
+            None if state["last"] is None else _unpack_estimate(state["last"]),
             integer(state["next_index"]),
         )
     except DAMAGES as error:
         raise damaged(error) from error
 
 
-def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
+def _unpack_window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     steps: list[Step] = []
-    values: dict[int, tuple[float, ...]] = {}
     for entry in state["steps"]:
         previous = steps[-1].alone() if steps else None
         observation = unpack_observation(entry["observation"])
@@ -501,68 +426,41 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
         steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera))
-        values[entry["index"]] = tuple(_nans(entry["values"]).reshape(6).tolist())
-    prior = None
-    if state["prior"] is not None:
-        saved = state["prior"]
-        prior = MarginalPrior(
-            tuple(map(integer, saved["keys"])),
-            tuple(tuple(map(real, point)) for point in saved["point"]),
-            _matrix(saved["information"]),
-            _nans(saved["linear"]),
-            real(saved["constant"]),
-        )
-    anchor = None
-    if state["anchor"] is not None:
-        body, head = _nans(state["anchor"]).tolist()
-        anchor = (body, head)
-    modes = None if state["modes"] is None else _matrix(state["modes"])
+    saved = unpack_tree(state["window"])
+    prior, anchor, modes = saved["prior"], saved["anchor"], saved["modes"]
+    if prior is not None:
+        linear, point = (prior[name].reshape(N) for name in ("linear", "point"))
+        prior = MarginalPrior(prior["information"].reshape(N, N), linear, point, real(prior["constant"]))
+    if anchor is not None:
+        body, head = anchor.tolist()
+        anchor = body, head
     if modes is not None and (modes.shape[0] != 2 or not modes.size):
         raise ValueError(f"modes {modes.shape}")
-    return Window(tuple(steps), values, prior, anchor, modes)
+    return Window(tuple(steps), saved["states"].reshape(len(steps), N), prior, anchor, modes)
 
 
-def _check_numbers(value: Any) -> None:
-    """Raise TypeError unless a value of an observation consists of finite numbers."""
-    if isinstance(value, dict | list | tuple):
-        for part in value.values() if isinstance(value, dict) else value:
-            _check_numbers(part)
-    else:
-        real(value)
+def _pack_estimate(last: Estimate) -> dict[str, Any]:
+    state = np.array([*last.position, *last.velocity, last.body, last.head])
+    modes = np.array([last.aligned_p, last.gait_offset, last.glance_p])
+    return {
+        "t": last.t,
+        "frame": last.frame,
+        **pack_tree({"state": state, "covariance": last.covariance, "modes": modes}),
+    }
 
 
-def _tuples(value: Any) -> Any:
-    """A value of an observation with tuples where JSON has lists."""
-    if isinstance(value, dict):
-        return {name: _tuples(part) for name, part in value.items()}
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _estimate(saved: dict[str, Any]) -> Estimate:
-    state = _nans(saved["state"]).reshape(6)
-    aligned, offset, glance = _nans(saved["modes"]).tolist()
+def _unpack_estimate(saved: dict[str, Any]) -> Estimate:
+    arrays = unpack_tree(saved)
+    x, y, vx, vy, body, head = arrays["state"].tolist()
     return Estimate(
         real(saved["t"]),
         integer(saved["frame"]),
-        state[:2],
-        state[2:4],
-        float(state[4]),
-        float(state[5]),
-        _matrix(saved["covariance"]).reshape(6, 6),
+        np.array([x, y]),
+        np.array([vx, vy]),
+        body,
+        head,
+        arrays["covariance"].reshape(N, N),
         "new",
-        aligned_p=aligned,
-        gait_offset=offset,
-        glance_p=glance,
+        "",
+        *arrays["modes"].tolist(),
     )
-
-
-def _matrix(rows: list[list[float | None]]) -> FloatArray:
-    return np.array([_nans(row) for row in rows])
-
-
-def _nulls(numbers: Any) -> list[float | None]:
-    return [None if math.isnan(x) else float(x) for x in numbers]
-
-
-def _nans(numbers: list[float | None]) -> FloatArray:
-    return np.array([math.nan if x is None else real(x) for x in numbers], dtype=float)

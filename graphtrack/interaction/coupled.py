@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Failure, Solution
+from graphtrack.inference.engines import Failure, Solution
 from graphtrack.inference.state import Estimate, checked
 from graphtrack.interaction.evidence import (
     FORGOTTEN,
@@ -24,7 +24,7 @@ from graphtrack.interaction.groups import groups_of
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
-from graphtrack.model.terms.faces_group import GROUP, Group, with_group_at
+from graphtrack.model.terms.conversation import GROUP, Group, with_group_at
 from graphtrack.saved import from_text, integer, real, to_text
 from graphtrack.tracks.track import STATE, Track, TrackSet
 

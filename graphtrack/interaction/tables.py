@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,93 +17,49 @@ from graphtrack.interaction.attention import Attention, AttentionParameters
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.formats.native import open_table
 from graphtrack.io.groups import UNLABELLED
-from graphtrack.io.source import Source, read_toml
-from graphtrack.tracks.validation import LARGEST_ID, with_table
+from graphtrack.io.source import read_toml
+from graphtrack.tracks.cells import Cells, integers, numbers
+from graphtrack.tracks.validation import with_table
 
 IntArray = NDArray[np.int64]
 
 NOBODY = -1
 """Gaze target: nobody."""
 
-_FIRST_LINE = 2
 _TARGETS = ("person", "place", "nothing")
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Columns of a CSV file, (rows,) each; errors have the line."""
-
-    path: Path
-    cells: Mapping[str, NDArray[np.object_]]
-
-    def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
-        """Raise `InputError` for the first wrong row."""
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            cell = str(self.cells[name][row])
-            found = repr(cell[:40]) if cell.strip() else "an empty cell"
-            raise InputError(found, expected, path=self.path, line=row + _FIRST_LINE, column=name)
-
-    def numbers(self, name: str, *, needed: bool = True) -> FloatArray:
-        """Return finite numbers; NaN for empty optional cells, and for a missing column."""
-        import pandas as pd
-
-        if name not in self.cells:
-            return np.full(len(self.cells["frame"]), np.nan)
-        found = np.asarray(pd.to_numeric(pd.Series(self.cells[name]), errors="coerce"), dtype=float)
-        empty = np.array([not cell.strip() for cell in self.cells[name]], dtype=bool)
-        self.refuse(~np.isfinite(found) & (needed | ~empty), name, "a finite number")
-        return found
-
-    def integers(self, name: str, *, needed: bool = True) -> IntArray:
-        """Return integers; `UNLABELLED` for empty optional cells."""
-        found = self.numbers(name, needed=needed)
-        found = np.where(np.isnan(found), UNLABELLED, found)
-        self.refuse((found != np.round(found)) | (abs(found) > LARGEST_ID), name, "a whole number")
-        return found.astype(np.int64)
-
-    def shares(self, name: str, *, needed: bool) -> FloatArray:
-        """Probabilities."""
-        found = self.numbers(name, needed=needed)
-        self.refuse((found < 0.0) | (found > 1.0), name, "a probability from 0 to 1")
-        return found
-
-    def words(self, name: str, known: Sequence[str]) -> IntArray:
-        """Return the index of each cell in the known words."""
-        codes = {word: place for place, word in enumerate(known)}
-        found = np.array([codes.get(cell, -1) for cell in self.cells[name]], dtype=np.int64)
-        self.refuse(found < 0, name, "one of " + ", ".join(word or "nothing" for word in known))
-        return found
-
-    def once(self, *keys: NDArray[np.generic]) -> None:
-        """Refuse rows with duplicate keys."""
-        order = np.lexsort(tuple(reversed(keys)))
-        same = np.ones(len(order) - 1, dtype=bool)
-        for key in keys:
-            same &= key[order][1:] == key[order][:-1]
-        again = np.zeros(len(order), dtype=bool)
-        again[order[1:][same]] = True
-        self.refuse(again, "track_id", "each person and target once in a frame")
+def _optional(cells: Cells, name: str) -> FloatArray:
+    """Return finite numbers; NaN for empty cells, and for a missing column."""
+    return numbers(cells, name) if name in cells.columns else np.full(len(cells.columns["frame"]), np.nan)
 
 
-def _read(path: str | Path, needed: Sequence[str]) -> _Rows:
-    import pandas as pd
+def _shares(cells: Cells, name: str) -> FloatArray:
+    """Return probabilities; NaN for empty cells, and for a missing column."""
+    found = _optional(cells, name)
+    cells.refuse((found < 0.0) | (found > 1.0), name, "a probability from 0 to 1")
+    return found
 
-    source = Source.open(path)
-    first = next((line for line in source.text.splitlines() if line.strip()), "")
-    header = [cell.strip().strip('"') for cell in first.split(",")]
-    missing = [name for name in needed if name not in header]
-    if missing:
-        raise InputError(f"no column {missing[0]}", f"the columns {', '.join(needed)}", path=path)
-    try:
-        table = pd.read_csv(io.StringIO(source.text), dtype=str, keep_default_na=False, skipinitialspace=True)
-    except ValueError as error:  # pandas' own errors among them
-        raise InputError(" ".join(str(error).split())[:100], "a whole table", path=path) from error
-    table.columns = [str(name).strip() for name in table.columns]
-    if not len(table):
-        raise InputError("no rows", "at least one row", path=path)
-    return _Rows(source.path, {name: table[name].fillna("").to_numpy(object) for name in table.columns})
+
+def _words(cells: Cells, name: str, known: Sequence[str]) -> IntArray:
+    """Return the index of each cell in the known words."""
+    codes = {word: place for place, word in enumerate(known)}
+    found = np.array([codes.get((cell or "").strip(), -1) for cell in cells.columns[name]], dtype=np.int64)
+    cells.refuse(found < 0, name, "one of " + ", ".join(word or "nothing" for word in known))
+    return found
+
+
+def _check_once(cells: Cells, *keys: NDArray[np.generic]) -> None:
+    """Refuse rows with duplicate keys."""
+    order = np.lexsort(tuple(reversed(keys)))
+    same = np.ones(len(order) - 1, dtype=bool)
+    for key in keys:
+        same &= key[order][1:] == key[order][:-1]
+    again = np.zeros(len(order), dtype=bool)
+    again[order[1:][same]] = True
+    cells.refuse(again, "track_id", "each person and target once in a frame")
 
 
 def read_group_table(path: str | Path) -> Groups:
@@ -113,13 +68,13 @@ def read_group_table(path: str | Path) -> Groups:
     Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN. Raise
     InputError with line and column: an invalid number, kind or probability, or a person twice.
     """
-    rows = _read(path, ("frame", "track_id", "group"))
-    frame, person, group = (rows.integers(name) for name in ("frame", "track_id", "group"))
-    rows.once(frame, person)
+    cells = open_table(path, ("frame", "track_id", "group"))
+    frame, person, group = (integers(cells, name) for name in ("frame", "track_id", "group"))
+    _check_once(cells, frame, person)
     grouped = group >= 0
-    kind = rows.words("kind", KINDS) if "kind" in rows.cells else np.where(grouped, 1, 0)
-    centre = np.stack([rows.numbers(name, needed=False) for name in ("centre_x", "centre_y")], axis=1)
-    t, probability = rows.numbers("t", needed=False), rows.shares("probability", needed=False)
+    kind = _words(cells, "kind", KINDS) if "kind" in cells.columns else np.where(grouped, 1, 0)
+    centre = np.stack([_optional(cells, name) for name in ("centre_x", "centre_y")], axis=1)
+    t, probability = _optional(cells, "t"), _shares(cells, "probability")
     order = np.lexsort((person, frame))
     columns: list[Any] = [frame, t, person, np.where(grouped, group, -1), kind, probability, centre]
     return Groups(*(values[order] for values in columns))
@@ -156,16 +111,16 @@ def read_gaze(path: str | Path) -> LookLabels:
     Rows with an empty target are unlabelled. Raise InputError with line and column: an invalid integer, a
     person as their own target, a person twice in a frame.
     """
-    rows = _read(path, ("frame", "track_id", "target"))
-    frame, person = rows.integers("frame"), rows.integers("track_id")
-    rows.once(frame, person)
-    has_number = np.isfinite(rows.numbers("target", needed=False))
-    target = rows.integers("target", needed=False)
-    rows.refuse(has_number & (target < NOBODY), "target", "an id, or -1 for nobody")
-    rows.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
+    cells = open_table(path, ("frame", "track_id", "target"))
+    frame, person = integers(cells, "frame"), integers(cells, "track_id")
+    _check_once(cells, frame, person)
+    has_number = np.isfinite(numbers(cells, "target"))
+    target = integers(cells, "target", UNLABELLED)
+    cells.refuse(has_number & (target < NOBODY), "target", "an id, or -1 for nobody")
+    cells.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))
     order = order[has_number[order]]
-    return LookLabels(frame[order], person[order], target[order], rows.path)
+    return LookLabels(frame[order], person[order], target[order], cells.path)
 
 
 def read_attention(path: str | Path) -> list[Attention]:
@@ -174,19 +129,21 @@ def read_attention(path: str | Path) -> list[Attention]:
     Raise InputError with line and column: an invalid number or kind, a target that is not a person, a target
     twice.
     """
-    rows = _read(path, ("frame", "t", "track_id", "kind", "target", "probability"))
-    frame, person, t = rows.integers("frame"), rows.integers("track_id"), rows.numbers("t")
-    kind, probability = rows.words("kind", _TARGETS), rows.shares("probability", needed=True)
-    target = np.array([cell.strip() for cell in rows.cells["target"]], dtype=object)
+    cells = open_table(path, ("frame", "t", "track_id", "kind", "target", "probability"))
+    frame, person, t = integers(cells, "frame"), integers(cells, "track_id"), numbers(cells, "t")
+    kind, probability = _words(cells, "kind", _TARGETS), _shares(cells, "probability")
+    for name, values in (("t", t), ("probability", probability)):
+        cells.refuse(np.isnan(values), name, "a finite number")
+    target = np.array([(cell or "").strip() for cell in cells.columns["target"]], dtype=object)
     of_person = kind == 0
     no_id = np.array([not cell.lstrip("-").isdecimal() for cell in target], dtype=bool)
-    rows.refuse(of_person & no_id, "target", "an id")
+    cells.refuse(of_person & no_id, "target", "an id")
     codes = tuple(sorted(set(target[kind == 1].tolist())))
     number = {name: k for k, name in enumerate(codes)}
     person_target = np.zeros(len(target), dtype=np.int64)
     person_target[of_person] = [int(cell) for cell in target[of_person]]
     which = np.where(kind == 1, [number.get(cell, 0) for cell in target], 0)
-    rows.once(frame, person, kind, person_target, which)
+    _check_once(cells, frame, person, kind, person_target, which)
     found = []
     for one in np.unique(person).tolist():
         mine = np.flatnonzero(person == one)
@@ -240,4 +197,4 @@ def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made])
             raise InputError(f"no table [{name}]", f"the output of 'graphtrack fit --{name}'")
         return made(table)
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error

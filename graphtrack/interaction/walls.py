@@ -1,4 +1,4 @@
-"""People and walls: estimates that stay within a walkable area, offline and online."""
+"""People and walls offline: estimates that stay within a walkable area."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import WalkableArea
-from graphtrack.inference.result import Failure, Solution
-from graphtrack.model import Model
-from graphtrack.model.terms.walls import StaysInside, barrier_depth, with_walls, without_walls
+from graphtrack.inference.engines import Failure, Solution
+from graphtrack.model.terms.walls import WALL_INPUT, barrier_depth
 from graphtrack.tracks.track import Track, TrackSet
 
 ROUNDS = 4
@@ -20,9 +20,14 @@ ROUNDS = 4
 Solve = Callable[[TrackSet], list[Solution | Failure]]
 
 
-def model_with_walls(model: Model) -> Model:
-    """Return a model with the term that keeps people within the input `WALL_INPUT`."""
-    return Model(model.preset, model.parameters, (*model.own_terms, StaysInside), model.scene)
+def with_walls(track: Track, position: FloatArray, area: WalkableArea) -> Track:
+    """Return a track with the input `WALL_INPUT` of walls near positions (n, 2), one a frame."""
+    return replace(track, inputs={**track.inputs, WALL_INPUT: area.walls(position)})
+
+
+def without_walls(track: Track) -> Track:
+    """Return a track without the input `WALL_INPUT`."""
+    return replace(track, inputs={name: one for name, one in track.inputs.items() if name != WALL_INPUT})
 
 
 def solve_inside(
@@ -37,7 +42,7 @@ def solve_inside(
     ----------
     tracks : observations
     solve : solver without walls
-    solve_with_walls : solver whose model is `model_with_walls`
+    solve_with_walls : solver whose model has the term `StaysInside`
     area : the walkable area
     """
     found = solve(tracks)
@@ -62,13 +67,6 @@ def solve_inside(
             if isinstance(one := found[k], Solution) and not _is_inside(one.track.position, area).all()
         ]
     return found
-
-
-def with_observed_walls(track: Track, area: WalkableArea) -> Track:
-    """Return a track with the walls near its observed positions, or the last one before a frame."""
-    known = np.isfinite(track.position).all(axis=1)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(track)), 0))
-    return with_walls(track, track.position[last], area)
 
 
 def _is_inside(position: NDArray[np.float64], area: WalkableArea) -> NDArray[np.bool_]:

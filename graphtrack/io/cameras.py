@@ -130,7 +130,7 @@ def read_homography(path: str | Path) -> FloatArray:
     try:
         return check_homography(numbers.values.reshape(3, 3))
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
 
 
 def read_calibration(path: str | Path) -> GroundCamera:
@@ -167,7 +167,7 @@ def read_calibration(path: str | Path) -> GroundCamera:
             lens="fisheye" if fisheye else "pinhole",
         )
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
 
 
 def write_calibration(
@@ -232,7 +232,7 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
     try:
         camera, fit = GroundCamera.from_point_pairs(numbers[rows, :2], numbers[rows, 2:] * metres)
     except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+        raise error.at(path) from error
     exact = " (four pairs always fit exactly)" if fit.n_pairs == 4 else ""
     return camera, (
         f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "
@@ -276,6 +276,23 @@ def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
         return rows.with_channels(position=pixel)
     camera, notes = camera_or_scale(options, pixel, rows.channels["box"][known, 3])
     return on_ground(rows, camera, notes)
+
+
+def boxes_on_ground(position: FloatArray, camera: GroundCamera) -> FloatArray:
+    """Return boxes (n, 4) left, top, width and height in pixels of people at positions (n, 2) in metres.
+
+    The middle of the lower edge is the position; a person is `PERSON_HEIGHT` tall and 0.41 times as wide,
+    upwards as many pixels as for the same length sideways on the ground. NaN behind the camera.
+    """
+    foot = camera.ground_to_image(position)
+    bearing = camera.ray_bearing(position) + np.pi / 2.0
+    aside = 0.5 * PERSON_HEIGHT * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    ends = camera.ground_to_image(position + aside), camera.ground_to_image(position - aside)
+    height = np.linalg.norm(ends[0] - ends[1], axis=1)
+    width = 0.41 * height
+    drawable = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
+    box = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
+    return np.where(drawable[:, None], box, np.nan)
 
 
 def with_scores(rows: Rows) -> Rows:

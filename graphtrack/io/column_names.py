@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -13,8 +12,9 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.options import SHORT, WILD, ReadOptions
+from graphtrack.io.options import SHORT, ReadOptions
 from graphtrack.io.source import Source
+from graphtrack.tracks.cells import WILD
 from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import is_column
 
@@ -204,28 +204,13 @@ def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
     return (UNSURE_UNIT,) if unsure else ()
 
 
-def names_in(source: Source, format: str) -> list[str]:
-    """Return the names of the columns of a "csv", "ndjson" or "parquet" file; none where they are unknown."""
-    if format == "parquet":
-        import io
-
-        import pyarrow.parquet as pq
-
-        from graphtrack.io.formats.native import arrow_errors
-
-        with arrow_errors(source.path):
-            return list(pq.ParquetFile(io.BytesIO(source.data)).schema_arrow.names)
+def names_tracks(source: Source, options: ReadOptions) -> bool:
+    """Return whether a text of no known format has a header that names positions, and times or frames."""
     first = next((line for line in source.lines if line.strip()), "")
     try:
-        if format == "ndjson":
-            row = json.loads(first)
-            return list(row) if isinstance(row, dict) else []
-        return [name.strip() for name in next(csv.reader([first]), [])]
-    except (csv.Error, ValueError, RecursionError):
-        return []
-
-
-def has_positions(columns: Mapping[str, str] | str | None, names: Iterable[str]) -> bool:
-    """Return whether a table without native names holds tracks: positions, and times or frames."""
-    there = {*names, *(columns if isinstance(columns, Mapping) else ())}
-    return {"x", "y"} <= there and bool({"t", "frame"} & there)
+        names = [name.strip() for name in next(csv.reader([first]), [])]
+    except csv.Error:
+        return False
+    found, _ = with_synonyms(names, options, source.path)
+    there = {*names, *(found.columns if isinstance(found.columns, Mapping) else ())}
+    return found is not options and {"x", "y"} <= there and bool({"t", "frame"} & there)

@@ -20,11 +20,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import RemoteFile, Source, mostly
-from graphtrack.io.text import mostly_numbers, parse_number
+from graphtrack.io.text import mostly_numbers
+from graphtrack.tracks.cells import Cells
 from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.table import Rows, restored
 from graphtrack.tracks.track import TrackSet, to_columns
-from graphtrack.tracks.validation import check_frame_rate
+from graphtrack.tracks.validation import check_frame_rate, parse_number
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Format:
     name : value of ``format=``
     description : one line for users
     suffixes : endings of file names in lower case; they choose the format on writing
-    read : (source, options) → rows, whose cells are checked
+    read : (source, options) → rows, whose cells are checked; formats that are tables have ``cells`` instead
+    cells : (source, options) → raw cells of a table, with any names of columns
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     write_columns : (columns of the table, path) → None; for tables, which may lack identities and need no
         ``write``
@@ -51,13 +53,14 @@ class Format:
     name: str
     description: str
     suffixes: tuple[str, ...]
-    read: Callable[[Source, ReadOptions], Rows]
+    read: Callable[[Source, ReadOptions], Rows] | None = None
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
     companions: tuple[str, ...] = ()
     is_read: bool = True
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
+    cells: Callable[[Source, ReadOptions], Cells] | None = None
 
     def __post_init__(self) -> None:
         if self.write is None and self.write_columns is not None:
@@ -94,6 +97,15 @@ def steady_rate(tracks: TrackSet) -> float | None:
     rounded = float(f"{between:.9g}")  # 25, and not 24.999999999999996
     amiss = (t - t[first]) * rounded - (frame - frame[first])
     return rounded if np.abs(amiss).max() < _AMISS else None
+
+
+def rate_of(declared: Any) -> float | None:
+    """Return the frame rate that a file declares; None if it is no rate."""
+    try:
+        rate = float(declared)
+    except (TypeError, ValueError):
+        return None
+    return rate if 0.0 < rate <= 1e6 else None
 
 
 def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | None = None) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,12 +13,10 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.atomic import atomic_path
-from graphtrack.io.cells import cells_of_csv, numbers
+from graphtrack.io.formats.native import open_table
 from graphtrack.io.source import Source
-from graphtrack.io.text import parse_number
-from graphtrack.tracks.table import check_integers
-from graphtrack.tracks.validation import LARGEST_ID, LARGEST_SECONDS
+from graphtrack.tracks.cells import integers
+from graphtrack.tracks.validation import LARGEST_SECONDS, parse_number
 
 IntArray = NDArray[np.int64]
 
@@ -156,10 +153,10 @@ def read_groups(path: str | Path) -> GroupLabels:
     source = Source.open(path)
     lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
     if not lines:
-        raise InputError("no rows", "groups", path=source.path)
+        raise source.fail("no rows", "groups")
     first = lines[0][1]
     if _names_groups(first):
-        return _read_table(source)
+        return _read_table(source.path)
     return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
 
 
@@ -170,14 +167,12 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
         time, _, rest = line.strip().partition(" ")
         key = parse_number(time)
         if key is None or abs(key) > LARGEST_SECONDS:
-            raise InputError(repr(time[:40]), "a time in seconds", path=source.path, line=number, column=1)
+            raise source.fail(repr(time[:40]), "a time in seconds", line=number, column=1)
         if steps and key <= steps[-1].key:
-            raise InputError(f"{key:g}", "a time after that of the row before", path=source.path, line=number)
+            raise source.fail(f"{key:g}", "a time after that of the row before", line=number)
         parts = re.findall(r"<([^<>]*)>", rest)
         if re.sub(r"<[^<>]*>", "", rest).strip():
-            raise InputError(
-                repr(rest.strip()[:40]), "groups such as < ID ID >", path=source.path, line=number
-            )
+            raise source.fail(repr(rest.strip()[:40]), "groups such as < ID ID >", line=number)
         # The published annotation has some people in two groups at once: the larger one counts.
         groups = [_group(source, number, part.split()) for part in parts]
         kept: list[frozenset[int]] = []
@@ -203,9 +198,7 @@ def _read_lines(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
         group = _group(source, number, line.replace(",", " ").split())
         twice = listed & group
         if twice:
-            raise InputError(
-                f"person {min(twice)} in a second group", "each person in one", path=source.path, line=number
-            )
+            raise source.fail(f"person {min(twice)} in a second group", "each person in one", line=number)
         listed |= group
         groups.append(group)
     return GroupLabels("always", (GroupStep(0.0, tuple(groups), lines[0][0]),), source.path)
@@ -216,24 +209,16 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
     for cell in cells:
         match = _ID.fullmatch(cell)
         if match is None:
-            raise InputError(repr(cell[:40]), "the id of a person", path=source.path, line=line)
+            raise source.fail(repr(cell[:40]), "the id of a person", line=line)
         if int(match[1]) in group:
-            raise InputError(
-                f"person {match[1]} twice in a group", "each person once", path=source.path, line=line
-            )
+            raise source.fail(f"person {match[1]} twice in a group", "each person once", line=line)
         group.add(int(match[1]))
     return frozenset(group)
 
 
-def _read_table(source: Source) -> GroupLabels:
-    cells = cells_of_csv(source, header=True)
-    columns = []
-    for name in _NEEDED:
-        values = numbers(cells, name)
-        check_integers(values, name, LARGEST_ID, cells.fail)
-        columns.append(values.astype(np.int64).tolist())
-    if not columns[0]:
-        raise InputError("no rows", "at least one row", path=source.path)
+def _read_table(path: Path) -> GroupLabels:
+    cells = open_table(path, _NEEDED)
+    columns = [integers(cells, name).tolist() for name in _NEEDED]
     frames: dict[int, dict[int, int]] = {}
     line_of: dict[int, int] = {}
     for row, (frame, person, group) in enumerate(zip(*columns, strict=True)):
@@ -249,12 +234,4 @@ def _read_table(source: Source) -> GroupLabels:
             if group >= 0:
                 members.setdefault(group, set()).add(person)
         steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
-    return GroupLabels("frame", tuple(steps), source.path)
-
-
-def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """Write columns as CSV atomically; NaN and "" are empty cells."""
-    from graphtrack.io.formats.native import write_csv_columns as write
-
-    with atomic_path(path) as temporary:
-        write(columns, temporary)
+    return GroupLabels("frame", tuple(steps), path)

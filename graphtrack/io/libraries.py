@@ -17,7 +17,6 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import placed_boxes, with_scores
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import Source
 from graphtrack.packages import package
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
@@ -227,11 +226,6 @@ def to_geopandas(tracks: TrackSet) -> geopandas.GeoDataFrame:
     return module.GeoDataFrame(table, geometry=points, crs=None if plane is None else plane.crs).loc[known]
 
 
-def _unread(source: Source, options: ReadOptions) -> Rows:
-    expected = "a table, such as GeoParquet (.geoparquet); geopandas.read_file makes one of a GeoPackage"
-    raise InputError("a format that is only written", expected, path=source.path)
-
-
 def _write_geopackage(tracks: TrackSet, path: Path) -> None:
     """Write points as the layer of the file's name."""
     with warnings.catch_warnings():
@@ -246,7 +240,7 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
 
 
 GEOPACKAGE, GEOPARQUET = (
-    Format(name, description, (suffix,), _unread, write, is_read=False)
+    Format(name, description, (suffix,), write=write, is_read=False)
     for name, description, suffix, write in (
         ("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
         ("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),

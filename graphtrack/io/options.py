@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack, get_args
 
@@ -12,61 +12,15 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
+from graphtrack.tracks.cells import WILD, Layout
 from graphtrack.tracks.schema import is_column
 from graphtrack.tracks.table import ANGLES, DEGREES, AsRead
-from graphtrack.tracks.time import check_time_unit
 from graphtrack.tracks.validation import check_frame_rate, check_positive
-
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
-"""Metres of each unit of length."""
 
 SHORT = {"id": "track_id", "time": "t"}
 """Short names of columns, in addition to those of the native table."""
 
-WILD = "*"
-"""Placeholder of the identity in a column's name, for tables with columns for each person."""
-
 EXPECTED = "pairs such as id=agent,t=timestamp,x=pos_x,y=pos_y"
-
-
-@dataclass(frozen=True)
-class Layout:
-    """A table's columns and units.
-
-    Attributes
-    ----------
-    columns : name in the native table, or one of `DEGREES` and `ANGLES` → name in the file
-    time_unit : of numbers in the column of times; "iso" for text; None: seconds, or ISO 8601
-    units : unit of length
-    crs : coordinate reference system; None: a ground in ``units``, and for degrees WGS 84
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    time_unit: str | None = None
-    units: str | None = None
-    crs: str | None = None
-
-    def __post_init__(self) -> None:
-        check_time_unit(self.time_unit)
-        if self.units is not None and self.units not in METRES:
-            raise InputError(f"units = {self.units!r}", f"one of {', '.join(METRES)}")
-        if self.crs is not None and self.units not in (None, "m"):
-            raise InputError(f"units {self.units} with crs", "one of them: a crs has units of its own")
-
-    @property
-    def metre(self) -> float:
-        """Metres of the unit of length."""
-        return METRES[self.units or "m"]
-
-    @property
-    def by_number(self) -> bool:
-        """Return whether columns are numbered from 1, as in a table without a header."""
-        return bool(self.columns) and all(name.isdecimal() for name in self.columns.values())
-
-    @property
-    def wild(self) -> dict[str, str]:
-        """Columns that repeat for each person."""
-        return {key: name for key, name in self.columns.items() if WILD in name}
 
 
 def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:

@@ -15,21 +15,22 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
-from graphtrack.io.cameras import read_homography
+from graphtrack.io.cameras import place_pixels, read_homography
+from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
 from graphtrack.io.format import Format, is_recording, recognised
-from graphtrack.io.formats.native import has_moments
-from graphtrack.io.options import FileReading, Layout, Reading, ReadOptions
+from graphtrack.io.formats.native import CSV
+from graphtrack.io.options import FileReading, Reading, ReadOptions
 from graphtrack.io.registry import (
     FORMATS,
     companion_files,
     detect,
     format_for_writing,
     format_named,
-    format_taking,
-    hinted,
+    hint_for,
 )
 from graphtrack.io.source import Source, place_of, sequence_file, table_in
-from graphtrack.io.text import in_utf8, other_delimiter
+from graphtrack.io.text import in_utf8
+from graphtrack.tracks.cells import Cells, Layout, cells_of_frame, rows_of_cells
 from graphtrack.tracks.display import counted, listed
 from graphtrack.tracks.table import Rows, check_identities, check_rows, merged
 from graphtrack.tracks.track import Track, TrackSet
@@ -37,8 +38,6 @@ from graphtrack.tracks.validation import LARGEST_ID
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from graphtrack.io.cells import Cells
 
     Scene: TypeAlias = (
         TrackSet | Sequence[Track] | str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any]
@@ -149,22 +148,28 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     """Return the rows of a table in memory; see `read_identified`."""
-    from graphtrack.io.cells import cells_of_frame
-
     return rows_of_table(cells_of_frame(table), options)
 
 
-def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
-    """Return the rows of a table's cells, in metres and with times."""
-    from graphtrack.io.cameras import place_pixels
-    from graphtrack.io.column_names import unit_notes, with_synonyms
-    from graphtrack.io.foreign_tables import rows_of_cells
-
+def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -> Rows:
+    """Return the rows of a table's cells, in metres and with times; ``strict``: see `rows_of_cells`."""
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
-    rows = rows_of_cells(cells, found.layout() or Layout(), fps=found.fps, reference=found.reference)
+    layout = found.layout()
+    try:
+        rows = rows_of_cells(
+            cells,
+            layout or Layout(),
+            fps=found.fps,
+            reference=found.reference,
+            strict=strict and layout is None,
+        )
+    except InputError as error:
+        native = strict and options.layout() is None
+        raise error.at(hint=hint_for(error, native=native)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
-    return place_pixels(rows.with_notes(*notes), found)
+    rows = rows.with_notes(*notes)
+    return place_pixels(rows, found) if "pixel" in rows.channels else rows
 
 
 def read_with(
@@ -199,7 +204,7 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
-        found = f"detections without identities for {path.name}"
+        found = f"a table that is not of tracks for {path.name}"
         raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
 
@@ -233,10 +238,6 @@ def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
 
 
-def _chosen(source: Source, format: str | None) -> Format:
-    return detect(source) if format is None else format_named(format)
-
-
 def _opened(path: str | Path, options: ReadOptions) -> Source:
     """Return the source with text as UTF-8, commas and decimal points, by the options; for a bag its path."""
     place = table_in(place_of(path))
@@ -261,81 +262,54 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
 
 def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     source = _opened(path, options)
-    layout = options.layout()
-    if layout is None:
-        table = _table_with_synonyms(source, format, options)
-        if table is not None:
-            with read_errors(source.path):
-                return rows_of_table(_cells(source, table, Layout()), options)
-        chosen = _chosen(source, format)
-        if not source.data and chosen.name != BAG:
-            raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
-        try:
-            with read_errors(source.path):
-                if chosen.name == "parquet" and has_moments(source):
-                    return rows_of_table(_cells(source, "parquet", Layout()), options)
-                return chosen.read(source, options)
-        except InputError as error:
-            if chosen.write_columns is None:  # other formats have no options to interpret their content
-                raise
-            raise hinted(error) from error
-    taking = format_taking(source, format)
-    if taking is not None:
-        _check_taken(taking, options, source.path)
-        with read_errors(source.path):
-            return taking.read(source, options)
-    return rows_of_table(_cells(source, format, layout), options)
+    chosen = _chosen(source, format, options)
+    if not source.data and chosen.name != BAG:
+        raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
+    with read_errors(source.path):
+        if chosen.cells is not None:
+            return rows_of_table(_cells(source, chosen, options), options, strict=True)
+        _check_taken(chosen, options, source.path)
+        if chosen.read is None:
+            expected = "a table, such as GeoParquet; geopandas.read_file makes one of a GeoPackage"
+            raise source.fail("a format that is only written", expected)
+        return chosen.read(source, options)
 
 
-def _table_with_synonyms(source: Source, format: str | None, options: ReadOptions) -> str | None:
-    """Return the format of a table with well-known, non-native column names; else None."""
-    from graphtrack.io.column_names import has_positions, names_in, with_synonyms
+def _chosen(source: Source, format: str | None, options: ReadOptions = ReadOptions()) -> Format:
+    """Return the format by name or content; with columns or units declared, or well-known names, a table."""
+    if format is not None:
+        return format_named(format)
+    known = recognised(source.head, source.path)
+    if not source.data or (options.layout() is None and known is not None):
+        return detect(source)
+    found = None if known is None else format_named(known)
+    if options.layout() is not None:
+        is_table = found is not None and (found.cells is not None or found.takes)
+        return found if found is not None and is_table else CSV
+    return CSV if names_tracks(source, options) else detect(source)
 
-    known = format
-    if known is None:
-        known = recognised(source.head, source.path) or "csv"
-    if not source.data or known not in ("csv", "ndjson", "parquet"):
-        return None
-    names = names_in(source, known)
-    found, notes = with_synonyms(names, options, source.path)
-    return known if notes and has_positions(found.columns, names) else None
 
-
-def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
+def _check_taken(chosen: Format, options: ReadOptions, path: Path) -> None:
     """Refuse options of tables that a format does not know."""
     for name in ("columns", "time_unit", "units", "crs"):
-        if getattr(options, name) is not None and name not in taking.takes:
-            known = " or ".join(f"--{one}" for one in taking.takes)
-            raise InputError(f"--{name.replace('_', '-')} for the format {taking.name}", known, path=path)
+        if getattr(options, name) is not None and name not in chosen.takes:
+            known = " or ".join(f"--{one}" for one in chosen.takes) or "a table: csv, parquet or ndjson"
+            raise InputError(f"--{name.replace('_', '-')} for the format {chosen.name}", known, path=path)
 
 
 def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
     """Return the raw cells of a file that is a table."""
-    return _cells(_opened(path, options), None, options.layout() or Layout())
+    source = _opened(path, options)
+    chosen = _chosen(source, None, options)
+    return _cells(source, CSV if chosen.cells is None else chosen, options)
 
 
-def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
-    """Return the cells of a file that is a table, with any column names."""
-    from graphtrack.io.cells import cells_of_csv, cells_of_ndjson, cells_of_parquet
-
-    tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
-    chosen = format if source.data else format or BAG
-    if chosen is None:
-        known = recognised(source.head, source.path)
-        chosen = known if known in tables else "csv"
-    elif format_named(chosen).write_columns is None:
-        found = f"columns, units or a crs for the format {chosen}"
-        raise InputError(found, "a table: csv, parquet or ndjson")
-    if layout.by_number and chosen != "csv":
-        raise InputError("numbers for columns", "their names", path=source.path)
-    if chosen != "csv":
-        return tables[chosen](source)
-    cells = cells_of_csv(source, header=not layout.by_number)
-    if len(cells.columns) < 2:
-        other = other_delimiter(source, set(layout.columns.values()))
-        if other is not None:
-            raise other
-    return cells
+def _cells(source: Source, chosen: Format, options: ReadOptions) -> Cells:
+    layout = options.layout()
+    if layout is not None and layout.by_number and chosen is not CSV:
+        raise source.fail("numbers for columns", "their names")
+    assert chosen.cells is not None
+    return chosen.cells(source, options)
 
 
 def write(

@@ -15,7 +15,7 @@ from graphtrack.io.formats.caviar import CAVIAR
 from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
 from graphtrack.io.formats.kitti import KITTI
 from graphtrack.io.formats.mocap import MOCAP
-from graphtrack.io.formats.mot import COCO, MOT
+from graphtrack.io.formats.mot import COCO, MOT, MOT_2D
 from graphtrack.io.formats.movement import MOVEMENT
 from graphtrack.io.formats.native import CSV, PARQUET
 from graphtrack.io.formats.ndjson import NDJSON
@@ -25,26 +25,22 @@ from graphtrack.io.formats.salsa import SALSA
 from graphtrack.io.formats.towncentre import TOWNCENTRE
 from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
 from graphtrack.io.source import Source
-from graphtrack.io.text import other_delimiter, parse_number
+from graphtrack.io.text import other_delimiter
 from graphtrack.tracks.time import is_iso
+from graphtrack.tracks.validation import parse_number
 
 _FEWEST = 3  # fewest cells of a line that may be a table's header
 
 
-def hinted(error: InputError) -> InputError:
-    """Return an error of a native table with the option that would read it, if there is one."""
-    hint = _hint(error)
-    if not hint or "--" in error.expected:
-        return error
-    return InputError(
-        error.found, f"{error.expected}; {hint}", path=error.path, line=error.line, column=error.column
-    )
-
-
-def _hint(error: InputError) -> str:
+def hint_for(error: InputError, *, native: bool) -> str:
+    """Return the option that would read what a table, native or not, was refused for; "" if there is none."""
     found, column = error.found, error.column
     cell = found.strip("'\"")
-    missing = found == "no such column" or (found == "nothing" and column in ("track_id", "frame"))
+    missing = found.startswith("no such column")
+    if "--" in error.expected:
+        return ""
+    if not native:
+        return "name the columns with --columns" if missing or found == "no position" else ""
     if missing and column == "t":
         return "--fps gives the rate, --columns t=NAME the column"
     if missing or found == "no position":
@@ -59,8 +55,6 @@ def _hint(error: InputError) -> str:
         )
     if column == "track_id" and value is None and found.startswith("'"):
         return "--columns id=track_id reads text"
-    if "decimal point" in error.expected:
-        return "--decimal , reads it"
     return ""
 
 
@@ -95,6 +89,7 @@ FORMATS = (
     SALSA,
     TOWNCENTRE,
     PEDPY,
+    MOT_2D,
     MOT,
     ETH,
 )
@@ -127,20 +122,14 @@ def detect(source: Source) -> Format:
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
-        raise InputError("a JSON list", "one JSON object a line, each a row (.ndjson)", path=source.path)
+        raise source.fail("a JSON list", "one JSON object a line, each a row (.ndjson)")
     is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
     known = ", ".join(f.name for f in FORMATS if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
-    raise InputError("content of no known format", f"one of {known}{hint}", path=source.path)
-
-
-def format_taking(source: Source, name: str | None) -> Format | None:
-    """Return the format by name or content, if its reader handles options of tables itself."""
-    name = recognised(source.head, source.path) if name is None else name
-    return next((one for one in FORMATS if one.takes and one.name == name), None)
+    raise source.fail("content of no known format", f"one of {known}{hint}")
 
 
 def format_for_writing(path: Path) -> Format:

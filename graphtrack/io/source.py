@@ -125,6 +125,12 @@ class Source:
             raise InputError("an empty file", "rows", path=path)
         return cls(path, data)
 
+    def fail(
+        self, found: str, expected: str, line: int | None = None, column: str | int | None = None
+    ) -> InputError:
+        """Return the error for this file, with the place in it."""
+        return InputError(found, expected, path=self.path, line=line, column=column)
+
     @property
     def head(self) -> bytes:
         """First bytes, for recognising the format."""
@@ -153,23 +159,19 @@ class Source:
         if self.wide is not None:
             kind = self.wide[:6]
             expected = f"UTF-8 text, or {kind} with a mark at its beginning; --encoding {self.wide} reads it"
-            raise InputError(f"{kind} text", expected, path=self.path, line=1)
+            raise self.fail(f"{kind} text", expected, 1)
         if self.data.startswith(_ZIP_MAGIC):
             expected = "text: an archive unpacked, the sheet of a workbook saved as CSV"
-            raise InputError("a ZIP archive (an Excel workbook?)", expected, path=self.path)
+            raise self.fail("a ZIP archive (an Excel workbook?)", expected)
         null = self.data.find(b"\0")
         if null >= 0:
-            raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))
+            raise self.fail("a null byte (a binary file?)", "text", self._line(null))
         try:
             return self.data.decode("utf-8").lstrip("\ufeff")
         except UnicodeDecodeError as error:
             byte = self.data[min(error.start, len(self.data) - 1)]
-            raise InputError(
-                f"the byte 0x{byte:02x}",
-                "UTF-8 text, or --encoding with the name of another, such as cp1252",
-                path=self.path,
-                line=self._line(error.start),
-            ) from error
+            expected = "UTF-8 text, or --encoding with the name of another, such as cp1252"
+            raise self.fail(f"the byte 0x{byte:02x}", expected, self._line(error.start)) from error
 
     @cached_property
     def lines(self) -> list[str]:
@@ -178,13 +180,13 @@ class Source:
         count = text.count("\n")
         if count >= _LINES_FROM and len(text) < (1 + _SHORTEST) * count:
             found = f"{count} lines of fewer than {_SHORTEST} characters on the average"
-            raise InputError(found, "rows of a table", path=self.path)
+            raise self.fail(found, "rows of a table")
         lines = [line.removesuffix("\r") for line in text.split("\n")]
         if "\r" in self.text:
             for number, line in enumerate(lines, 1):
                 if "\r" in line:
                     found = "a carriage return within a line"
-                    raise InputError(found, "lines that end in LF or CR LF", path=self.path, line=number)
+                    raise self.fail(found, "lines that end in LF or CR LF", number)
         return lines
 
     def _line(self, offset: int) -> int:

@@ -12,17 +12,18 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.io.cells import Cells, is_empty
 from graphtrack.io.column_names import LENGTHS, TIMES, UNSURE_UNIT, meanings, plain, wide
 from graphtrack.io.format import recognised
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file, rows_of_file
 from graphtrack.io.source import Source
-from graphtrack.io.text import SEP_LINE, in_utf8, parse_number
+from graphtrack.io.text import SEP_LINE, in_utf8
+from graphtrack.tracks.cells import Cells, is_empty
 from graphtrack.tracks.display import listed, shortened
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import parse_number
 
 _ROWS = 400  # rows that are examined
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import codecs
 import csv
 import io
-import math
 import re
-from collections.abc import Collection, Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,13 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source, mostly
 from graphtrack.tracks.schema import NAMES
-from graphtrack.tracks.validation import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
+from graphtrack.tracks.validation import (
+    LARGEST_FRAME,
+    LARGEST_METRES,
+    LARGEST_PIXELS,
+    expected_number,
+    parse_number,
+)
 
 _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # as typed after ``--delimiter``
@@ -57,16 +62,15 @@ def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputErro
     if declared and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
         found = f"the line {declared[0]!r}"
         expected = "the header in the first line; --delimiter , reads it"
-        return InputError(found, expected, path=source.path, line=1)
+        return source.fail(found, expected, line=1)
     return None
 
 
 def _error(source: Source, line: int, mark: str, name: str, *, decimal: bool) -> InputError:
     options = f"--delimiter {_TYPED[mark]}" + (" --decimal ," if decimal else "")
-    return InputError(
+    return source.fail(
         f"{name} between the cells" + (" and decimal commas" if decimal else ""),
         f"commas between the cells{' and decimal points' if decimal else ''}; {options} reads it",
-        path=source.path,
         line=line,
     )
 
@@ -82,13 +86,11 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
     return 2 * good > len(rows)
 
 
-def csv_rows(
-    path: Path, lines: Sequence[str], mark: str = ",", first: int = 1
-) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of lines of text, each with its line number; that of the first is ``first``."""
-    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
+def csv_rows(path: Path, lines: Iterable[str], mark: str = ",") -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of lines of text, each with its line number, from 1."""
+    reader = csv.reader((f"{line}\n" for line in lines), delimiter=mark, strict=True)
     while True:
-        line = first + reader.line_num
+        line = 1 + reader.line_num
         try:
             row = next(reader, None)
         except csv.Error as error:
@@ -154,7 +156,7 @@ def _decoded(source: Source, encoding: str) -> Source:
         place = getattr(error, "start", 0)
         line = source.data.count(b"\n", 0, place) + 1
         found = f"bytes that are not {encoding}"
-        raise InputError(found, "another encoding", path=source.path, line=line) from error
+        raise source.fail(found, "another encoding", line=line) from error
     return replace(source, data=text.removeprefix("\ufeff").encode(errors="replace"))
 
 
@@ -181,17 +183,6 @@ def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
     return out.getvalue()
 
 
-def parse_number(text: str) -> float | None:
-    """Parse a finite decimal number, or return None; unlike ``float`` no ``nan``, ``inf`` or ``1_000``."""
-    if "_" in text or not text.isascii():
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
 def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -> bool:
     """Return whether most of the first lines of a file are that many delimited numbers."""
 
@@ -200,12 +191,6 @@ def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -
         return len(cells) in widths and all(parse_number(cell) is not None for cell in cells)
 
     return mostly(head, matches)
-
-
-def expected_number(text: str) -> str:
-    """Return a description of the expected number where `parse_number` finds none."""
-    decimal_comma = parse_number(text.replace(",", ".")) is not None
-    return "a finite number with a decimal point" if decimal_comma else "a finite number"
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,12 +203,14 @@ class Numbers:
     values : (n, k)
     line : (n,) line of each row, from 1
     names : k names of the columns, for messages; numbers from 1 where there is none
+    text : index of a column of text → its n cells; such columns are 0 among the values
     """
 
     source: Source
     values: FloatArray
     line: NDArray[np.int64]
     names: tuple[str, ...] = ()
+    text: Mapping[int, list[str]] = field(default_factory=dict)
 
     def line_of(self, row: int) -> int:
         """Return the line of a row in the file."""
@@ -231,10 +218,9 @@ class Numbers:
 
     def fail(self, row: int, column: int, expected: str) -> InputError:
         """Return the error for one cell."""
-        return InputError(
+        return self.source.fail(
             f"{self.values[row, column]:.16g}",
             expected,
-            path=self.source.path,
             line=self.line_of(row),
             column=_column_name(self.names, column),
         )
@@ -276,6 +262,8 @@ def read_numbers(
     widths: tuple[int, ...],
     names: tuple[str, ...],
     comments: bool = False,
+    text: Collection[int] = (),
+    skip: int = 0,
 ) -> Numbers:
     """Read all rows of a text file as numbers.
 
@@ -285,10 +273,12 @@ def read_numbers(
     widths : allowed numbers of columns; all rows have the same
     names : names of the columns, for messages
     comments : whether ``#`` begins a comment
+    text : indices of columns of text
+    skip : number of lines before the rows
     """
     rows: list[list[str]] = []
     line_numbers: list[int] = []
-    for number, line in enumerate(source.lines, 1):
+    for number, line in enumerate(source.lines[skip:], skip + 1):
         if comments:
             line = line.partition("#")[0].replace(",", " ")
         if not line.strip():
@@ -298,14 +288,16 @@ def read_numbers(
             if delimiter == "," and (error := other_delimiter(source)) is not None:
                 raise error
             wanted = (len(rows[0]),) if rows else widths
-            raise InputError(
-                f"{len(cells)} columns", " or ".join(map(str, wanted)), path=source.path, line=number
-            )
+            raise source.fail(f"{len(cells)} columns", " or ".join(map(str, wanted)), line=number)
         rows.append(cells)
         line_numbers.append(number)
     if not rows:
-        raise InputError("no rows", "at least one row", path=source.path)
-    return Numbers(source, _convert(source, rows, line_numbers, names), np.array(line_numbers), names)
+        raise source.fail("no rows", "at least one row")
+    texts = {column: [cells[column] for cells in rows] for column in text}
+    for cells in rows:
+        for column in text:
+            cells[column] = "0"
+    return Numbers(source, _convert(source, rows, line_numbers, names), np.array(line_numbers), names, texts)
 
 
 def _convert(source: Source, rows: list[list[str]], lines: list[int], names: tuple[str, ...]) -> FloatArray:
@@ -328,7 +320,7 @@ def _cell(source: Source, text: str, line: int, column: str | int) -> float:
     value = parse_number(text)
     if value is None:
         found = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-        raise InputError(found, expected_number(text), path=source.path, line=line, column=column)
+        raise source.fail(found, expected_number(text), line=line, column=column)
     return value
 
 

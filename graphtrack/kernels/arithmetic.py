@@ -8,18 +8,14 @@ angle (`cos_sin`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import choose, of_lanes
+from graphtrack.kernels.lanes import choose, of_lanes, unary
 
 
 @compiled
@@ -34,12 +30,6 @@ def log_i0e(x: Any) -> Any:
     series = 0.00916281 + y * (-0.02057706 + y * (0.02635537 + y * (-0.01647633 + y * 0.00392377)))
     series = 0.39894228 + y * (0.01328592 + y * (0.00225319 + y * (-0.00157565 + y * series)))
     return choose(low, near, math.log(series) - 0.5 * math.log(z))
-
-
-def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
-    """A function of numbers (n,), evaluated once where all are equal."""
-    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
-    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)
 
 
 LOG2E = 1.4426950408889634
@@ -65,17 +55,8 @@ _BITS, _SHORT = ir.IntType(64), ir.IntType(32)
 """Conversions by way of 32 bits, for which every processor has an instruction."""
 
 
-@intrinsic
-def floor_of(_context: Any, x: Any) -> Any:
-    """The floor of a number, as a float."""
-
-    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
-        kind = args[0].type
-        name = f"llvm.floor.v{kind.count}f64" if isinstance(kind, ir.VectorType) else "llvm.floor.f64"
-        floor = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), name)
-        return builder.call(floor, args)
-
-    return x(x), emit
+floor_of = unary("floor")
+"""The floor of a number, as a float."""
 
 
 @intrinsic
@@ -177,26 +158,8 @@ def direction_of(x: Any, y: Any) -> tuple[Any, Any]:
     return choose(some, x / size, 1.0), choose(some, y / size, 0.0)
 
 
-@compiled
-def _log1p(x: Any) -> Any:
-    return log(1.0 + x)
-
-
-@compiled
-def _cos(x: Any) -> Any:
-    return cos_sin(x)[0]
-
-
-@compiled
-def _sin(x: Any) -> Any:
-    return cos_sin(x)[1]
-
-
-for _known, _own in (
-    (math.exp, exp),
-    (math.log, log),
-    (math.log1p, _log1p),
-    (math.cos, _cos),
-    (math.sin, _sin),
-):
-    of_lanes(_known, _own)
+of_lanes(math.exp, lambda x: exp(x))
+of_lanes(math.log, lambda x: log(x))
+of_lanes(math.log1p, lambda x: log(1.0 + x))
+of_lanes(math.cos, lambda x: cos_sin(x)[0])
+of_lanes(math.sin, lambda x: cos_sin(x)[1])

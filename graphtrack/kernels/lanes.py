@@ -39,57 +39,43 @@ from numba.extending import (
 from graphtrack.kernels.layout import LANES
 
 _FLAGS = ("contract", "reassoc", "nsz", "arcp")
-_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
 
 
-class _LanesType(types.Type):
+class _VectorType(types.Type):
+    """A vector of ``element``, into which numbers of the ``plain`` type are converted."""
+
+    def __init__(self, name: str, plain: type[types.Type], element: ir.Type) -> None:
+        self.plain, self.vector = plain, ir.VectorType(element, LANES)
+        super().__init__(name=name)
+
     def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
-        return numba.core.typeconv.Conversion.safe if isinstance(other, types.Number) else None
+        return numba.core.typeconv.Conversion.safe if isinstance(other, self.plain) else None
 
     def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
-        return self if isinstance(other, types.Number) else None
-
-
-class _MaskType(types.Type):
-    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
-        return numba.core.typeconv.Conversion.safe if other == types.boolean else None
-
-    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
-        return self if other == types.boolean else None
+        return self if isinstance(other, self.plain) else None
 
 
 class LaneArrayType(types.Type):
-    """An array (n, *dims) of lanes; ``masked``: assignments change some lanes only."""
+    """An array (n, *dims) of lanes; ``masked``: assignments change some lanes only.
 
-    def __init__(self, dims: tuple[int, ...], masked: bool) -> None:
-        self.dims, self.masked = dims, masked
-        super().__init__(name=f"LaneArray({dims}, {masked})")
+    Of records, ``dtype`` is their type, and the last axis is that of their numbers: ``places`` by name.
+    """
 
-
-class LaneRecordsType(types.Type):
-    """An array (n,) of records, or one record, of lanes; ``indices`` of their fields, by name."""
-
-    def __init__(self, dtype: np.dtype, *, one: bool) -> None:
-        self.dtype, self.one = dtype, one
-        fields: Any = dtype.fields
+    def __init__(self, dims: tuple[int, ...], masked: bool = False, dtype: np.dtype | None = None) -> None:
+        self.dims, self.masked, self.dtype = dims, masked, dtype
+        fields: Any = {} if dtype is None else dtype.fields
         self.places = {name: known[1] // 8 for name, known in fields.items()}
-        super().__init__(name=f"LaneRecords({dtype}, {one})")
+        super().__init__(name=f"LaneArray({dims}, {masked}, {dtype})")
 
 
-Lanes, LaneMask = _LanesType(name="Lanes"), _MaskType(name="LaneMask")
+Lanes = _VectorType("Lanes", types.Number, ir.DoubleType())
+LaneMask = _VectorType("LaneMask", types.Boolean, ir.IntType(1))
 
 
-@register_model(_LanesType)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _DOUBLES)
-
-
-@register_model(_MaskType)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _BITS)
+@register_model(_VectorType)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: _VectorType) -> None:
+        super().__init__(manager, kind, kind.vector)
 
 
 @register_model(LaneArrayType)
@@ -97,12 +83,6 @@ class _ArrayModel(models.StructModel):
     def __init__(self, manager: Any, kind: LaneArrayType) -> None:
         members = [("data", types.CPointer(types.float64))]
         super().__init__(manager, kind, [*members, ("mask", LaneMask)] if kind.masked else members)
-
-
-@register_model(LaneRecordsType)
-class _RecordsModel(models.StructModel):
-    def __init__(self, manager: Any, kind: LaneRecordsType) -> None:
-        super().__init__(manager, kind, [("data", types.CPointer(types.float64))])
 
 
 # -- arithmetic --------------------------------------------------------------------------------------------
@@ -130,11 +110,10 @@ def _binary(
     operators: tuple[Callable[..., Any], ...], emit: Callable[[Any, Any, Any], Any], of: Any, to: Any
 ) -> None:
     """Register operators of two such numbers, or of one and a plain number."""
-    plain = types.Boolean if of == LaneMask else types.Number
 
     class Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            known = all(arg == of or isinstance(arg, plain) for arg in args)
+            known = all(arg == of or isinstance(arg, of.plain) for arg in args)
             return signature(to, of, of) if len(args) == 2 and of in args and known else None
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -166,41 +145,31 @@ _binary((operator.and_, operator.iand), lambda builder, x, y: builder.and_(x, y)
 _binary((operator.or_, operator.ior), lambda builder, x, y: builder.or_(x, y), LaneMask, LaneMask)
 
 
-@infer_global(operator.neg)
-class _Negative(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(Lanes, Lanes) if args == (Lanes,) else None
-
-
-@lower_builtin(operator.neg, Lanes)
-def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.fsub(ir.Constant(_DOUBLES, [-0.0] * LANES), args[0])
-
-
-def _unary(name: str) -> Any:
-    """An LLVM intrinsic."""
+def unary(name: str) -> Any:
+    """An LLVM intrinsic, of a float or of lanes."""
 
     @intrinsic
     def call(_context: Any, x: Any) -> Any:
         def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
-            function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(_DOUBLES, [_DOUBLES]), f"llvm.{name}.v{LANES}f64"
-            )
+            kind, of = args[0].type, f"v{LANES}f64" if x == Lanes else "f64"
+            one = ir.FunctionType(kind, [kind])
+            function = cgutils.get_or_insert_function(builder.module, one, f"llvm.{name}.{of}")
             return builder.call(function, args)
 
-        return Lanes(Lanes), emit
+        return x(x), emit
 
     return call
 
 
-def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
-    """Replace a function of Python's library by ``own`` for lanes in compiled code."""
-    # Without annotations, which numba compares.
-    overload(function)(lambda x: (lambda x: own(x)) if x == Lanes else None)
+def of_lanes(function: Callable[..., Any], own: Callable[[Any], Any]) -> None:
+    """Replace a function of Python's by ``own``, a lambda of x, for lanes in compiled code."""
+    overload(function)(lambda x: own if x == Lanes else None)
 
 
-for _known, _own in ((math.sqrt, _unary("sqrt")), (abs, _unary("fabs"))):
-    of_lanes(_known, _own)
+_root, _size = unary("sqrt"), unary("fabs")
+of_lanes(math.sqrt, lambda x: _root(x))
+of_lanes(abs, lambda x: _size(x))
+of_lanes(operator.neg, lambda x: -0.0 - x)
 
 
 # -- in place of branches ----------------------------------------------------------------------------------
@@ -263,7 +232,7 @@ def only_lane(_context: Any, condition: Any, lane: Any) -> Any:
         holds = ir.Constant(ir.IntType(1), 1)
         if condition == types.boolean:
             return holds
-        return builder.insert_element(ir.Constant(_BITS, [0] * LANES), holds, args[1])
+        return builder.insert_element(ir.Constant(LaneMask.vector, [0] * LANES), holds, args[1])
 
     return condition(condition, types.intp), emit
 
@@ -278,19 +247,13 @@ def _made(context: Any, builder: Any, kind: Any, data: Any) -> Any:
 
 
 def _lanes_at(builder: Any, data: Any) -> Any:
-    return builder.bitcast(data, _DOUBLES.as_pointer())
-
-
-@intrinsic
-def lane_array(_context: Any, array: Any) -> Any:
-    """An array of floats (n, LANES), (n, 6, LANES) or (n, 6, 6, LANES) as one of lanes."""
-    return _viewed(array, LaneArrayType((6,) * (array.ndim - 2), False))
+    return builder.bitcast(data, Lanes.vector.as_pointer())
 
 
 @intrinsic(prefer_literal=True)
-def lane_rows(_context: Any, array: Any, size: Any) -> Any:
-    """An array of floats (n, size, LANES) as one of lanes; the size is a constant."""
-    return _viewed(array, LaneArrayType((size.literal_value,), False), size)
+def lane_array(_context: Any, array: Any, size: Any) -> Any:
+    """An array of floats (n, LANES), (n, size, LANES) or (n, size, size, LANES) as one of lanes."""
+    return _viewed(array, LaneArrayType((size.literal_value,) * (array.ndim - 2)), size)
 
 
 def _viewed(array: Any, to: Any, *strides: Any) -> Any:
@@ -301,10 +264,44 @@ def _viewed(array: Any, to: Any, *strides: Any) -> Any:
     return to(array, *strides), emit
 
 
+_SIZES: dict[type, dict[str, int]] = {}
+
+
+def sized(kind: Any, size: int, **others: int) -> None:
+    """State the sizes of the arrays of a named tuple after their first axis; ``others``: by name."""
+    _SIZES[kind] = dict.fromkeys(kind._fields, size) | others
+
+
+@intrinsic
+def lane_memory(_context: Any, memory: Any) -> Any:
+    """A named tuple of arrays, those of floats as arrays of lanes by `sized`; or None."""
+    if isinstance(memory, types.NoneType):
+        return memory(memory), lambda context, builder, sig, args: args[0]
+    made = memory.instance_class
+    sizes = [_SIZES[made][name] for name in memory.fields]
+    kinds = [
+        LaneArrayType((size,) * (array.ndim - 2)) if array.dtype == types.float64 else array
+        for array, size in zip(memory.types, sizes, strict=True)
+    ]
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        parts = []
+        for i, (array, kind) in enumerate(zip(memory.types, kinds, strict=True)):
+            part = builder.extract_value(args[0], i)
+            if kind != array:
+                part = _made(context, builder, kind, context.make_array(array)(context, builder, part).data)
+                part = part._getvalue()
+            parts.append(impl_ret_borrowed(context, builder, kind, part))
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return types.NamedTuple(kinds, made)(memory), emit
+
+
 @intrinsic
 def lane_records(_context: Any, array: Any, records: Any) -> Any:
     """Floats (n, fields, LANES) as records of lanes, of the type of other ``records``."""
-    return _viewed(array, LaneRecordsType(numba.np.numpy_support.as_dtype(records.dtype), one=False), records)
+    dtype = numba.np.numpy_support.as_dtype(records.dtype)
+    return _viewed(array, LaneArrayType((dtype.itemsize // 8,), dtype=dtype), records)
 
 
 @intrinsic
@@ -314,7 +311,7 @@ def masked(_context: Any, array: Any, mask: Any) -> Any:
         return array(array, mask), lambda context, builder, sig, args: impl_ret_borrowed(
             context, builder, array, args[0]
         )
-    to = LaneArrayType(array.dims, True)
+    to = LaneArrayType(array.dims, masked=True)
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         given = cgutils.create_struct_proxy(array)(context, builder, value=args[0])
@@ -344,13 +341,11 @@ def _rest(kind: LaneArrayType, index: Any) -> tuple[int, ...] | None:
 class _Get(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         kind, index = args
-        if isinstance(kind, LaneRecordsType) and isinstance(index, types.Integer) and not kind.one:
-            return signature(LaneRecordsType(kind.dtype, one=True), kind, types.intp)
         to = _index_of(kind, index) if isinstance(kind, LaneArrayType) else None
         if to is None:
             return None
         dims = _rest(kind, to)
-        return signature(Lanes if dims is None else LaneArrayType(dims, kind.masked), kind, to)
+        return signature(Lanes if dims is None else LaneArrayType(dims, kind.masked, kind.dtype), kind, to)
 
 
 @infer_global(operator.setitem)
@@ -399,33 +394,25 @@ def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.get_dummy_value()
 
 
-@lower_builtin(operator.getitem, LaneRecordsType, types.intp)
-def _get_record(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
-    step = ir.Constant(args[1].type, LANES * (sig.args[0].dtype.itemsize // 8))
-    data = builder.gep(given.data, [builder.mul(args[1], step)])
-    return _made(context, builder, sig.return_type, data)._getvalue()
-
-
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = LaneRecordsType
+    key = LaneArrayType
 
-    def generic_resolve(self, kind: LaneRecordsType, name: str) -> Any:
-        return Lanes if kind.one and name in kind.places else None
+    def generic_resolve(self, kind: LaneArrayType, name: str) -> Any:
+        return Lanes if kind.dims == () and name in kind.places else None
 
 
-def _field_pointer(context: Any, builder: Any, kind: LaneRecordsType, value: Any, name: str) -> Any:
+def _field_pointer(context: Any, builder: Any, kind: LaneArrayType, value: Any, name: str) -> Any:
     given = cgutils.create_struct_proxy(kind)(context, builder, value=value)
     place = ir.Constant(ir.IntType(64), LANES * kind.places[name])
     return _lanes_at(builder, builder.gep(given.data, [place]))
 
 
-@lower_getattr_generic(LaneRecordsType)
+@lower_getattr_generic(LaneArrayType)
 def _get_field(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
     return builder.load(_field_pointer(context, builder, kind, value, name), align=8)
 
 
-@lower_setattr_generic(LaneRecordsType)
+@lower_setattr_generic(LaneArrayType)
 def _set_field(context: Any, builder: Any, sig: Any, args: Any, name: str) -> None:
     builder.store(args[1], _field_pointer(context, builder, sig.args[0], args[0], name), align=8)

@@ -53,22 +53,11 @@ def record_type(fields: Iterable[Field]) -> np.dtype:
     return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
 
 
-def number_rows(records: np.ndarray) -> np.ndarray:
-    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
-    return records.view(float).reshape(len(records), -1)
-
-
-def place_in_row(field: str, record: np.dtype) -> int:
-    """Return the place of a number in such a row."""
-    assert record.fields is not None
-    return int(record.fields[field][1]) // 8
-
-
 class Problem(NamedTuple):
     """Some tracks end to end, as the kernels read them: N frames, m tracks."""
 
-    records: np.ndarray  # (N,) of the program's FRAME
-    shared: np.ndarray  # (1,) of its SHARED
+    records: np.ndarray  # (N,) of the program's type; a gate is 0 where its kernel is not called
+    shared: np.ndarray  # (1,) fields shared by all frames
     body_heights: FloatArray  # (N, classes + 1), or no rows without class likelihoods
     head_heights: FloatArray
     body_directions: FloatArray  # (classes, 2) cosines and sines of the centres
@@ -78,11 +67,27 @@ class Problem(NamedTuple):
     prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: no prior
 
 
+class Chain(NamedTuple):
+    """The frames of one track, or of one track in each lane, that are solved at once."""
+
+    problem: Problem  # that has them, or the lanes'
+    track: int  # their number there
+    n: int  # of frames, of the longest track
+    length: Any  # the same of each track, as a float or as lanes
+
+
+class Sums(NamedTuple):
+    """Gradient (6,) and Hessian (6, 6; lower triangle) of a frame, to which kernels add."""
+
+    gradient: FloatArray
+    hessian: FloatArray
+
+
 VariableName = Literal["position", "velocity", "body", "head"]
 Function = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
 
@@ -114,7 +119,7 @@ class Kernel:
     variables, before : variables of the frame, and of the previous frame, whose derivatives it adds
     unless : field that disables it where that is greater than 0
     names : parameter → its argument, where that has another name
-    switched : True if the coupling modes switch it; see `gait.GaitOffsets`
+    switched : True if the coupling modes switch it; see `couplings.GaitOffsets`
     add_quarter_turns : compiled; a faster evaluation of the cost in four directions, if there is one. Adds
         to ``cost`` (4,) the kernel's cost at its orientation, and at one, two and three quarter turns from it
     """
@@ -142,6 +147,12 @@ class Kernel:
         if turned == {"body"}:
             return "body"
         return "head" if turned == {"head"} else None
+
+
+def names_of(name: VariableName, **further: str) -> dict[str, str]:
+    """`Kernel.names` of a function of one orientation: ``cos``, ``sin``, their values before, ``place``."""
+    own = {f"{part}{end}": f"{name}_{part}{end}" for part in ("cos", "sin") for end in ("", "_before")}
+    return {"place": name.upper(), **own, **further}
 
 
 def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from graphtrack.learning.optimise import (
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import range_of, scale_of
 from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import check_within
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -209,8 +210,7 @@ def fit(
     """
     model = Model.named(model)
     engine_of(model, "chain")
-    if not 0.0 <= hold_out <= 0.9:
-        raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
+    check_within(0.0, 0.9, hold_out=hold_out)
     tracks = tracks_of(tracks, scene=model.scene)
     usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
     if criterion is None:

@@ -17,12 +17,12 @@ from scipy import optimize
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import ON_THE_WAY, PASSES, Options, solve_packed, solve_terms
+from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
 from graphtrack.inference.chain.newton import NOT_FINITE, Result, Workspace, factorise, workspace
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference.engines import make_solver_ready
 from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import BODY, HEAD, N, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Problem
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import MotionParameters, with_oscillation
@@ -244,8 +244,7 @@ def log_determinants(
     """
     for track in range(begin, end):
         a, b = problem.offsets[track], problem.offsets[track + 1]
-        here, n = states[a:b], b - a
-        factorise(problem, track, n, here, workspace)
+        factorise(Chain(problem, track, b - a, float(b - a)), states[a:b], workspace)
         total = 0.0
         for k in range(b - a):
             for i in range(N):
@@ -308,10 +307,8 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        memory = workspace(self._longest)
-        options = Options(MAX_ITERATIONS, TOLERANCE, ON_THE_WAY, PASSES, search=False)
-        solve_terms(model, problem, options, result, memory=memory)
-        return Solved(packed, problem, result, memory, model.parameters.motion)
+        solve_terms(model, problem, Options(MAX_ITERATIONS, TOLERANCE, PASSES, search=False), result)
+        return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)
 
 
 Criterion = Literal["truth", "evidence", "prediction"]

@@ -27,6 +27,7 @@ from graphtrack.simulation.detector import FALSE
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import SceneParameters
 from graphtrack.tracks.table import Rows, check_rows
+from graphtrack.tracks.validation import check_within
 
 if TYPE_CHECKING:
     from graphtrack.association.associate import Detected
@@ -128,8 +129,7 @@ def fit_scene(
         all declare their own, are left out, to be learned where the model is used.
     """
     model = Model.named(model)
-    if not 0.0 <= hold_out <= 0.9:
-        raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
+    check_within(0.0, 0.9, hold_out=hold_out)
     rows = detections if isinstance(detections, Rows) else rows_of(detections, **options)
     labelled = rows.has_identity if labelled is None else labelled
     if labelled and not rows.has_identity:

@@ -1,7 +1,7 @@
 """Coupling modes given the states: the mode of each coupling, and the resulting coupling.
 
-The hidden Markov chains of `graphtrack.model.terms.gait`, by the forward–backward recursion; the couplings of
-next descent are the expectation over modes and offsets. One source for a single track and for lanes.
+The hidden Markov chains of `graphtrack.model.terms.couplings`, by the forward–backward recursion; the
+couplings of the next descent are the expectation over modes and offsets. One source, also for lanes.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import cos_sin, direction_of, exp, floor_of, log
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Problem
-from graphtrack.model.terms.body_follows_motion import squared_excess
-from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
-from graphtrack.model.terms.intentional_motion import steer
+from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane, sized
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, Problem
+from graphtrack.model.terms.couplings import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes, squared_excess
+from graphtrack.model.terms.motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1  # Places of the two couplings in arrays of both
 
@@ -44,6 +43,9 @@ class ModeMemory(NamedTuple):
     before: FloatArray  # (2, ROW) filtered probabilities of both couplings in the frame before the first
     held: FloatArray  # (n, 4) offset from motion to body, cosine and sine; probabilities: aligned, a glance
     spread: FloatArray  # (n, 2) standard deviation of the pull of each coupling
+
+
+sized(ModeMemory, ROW, ahead=3, held=4, spread=2)
 
 
 @allocating
@@ -116,25 +118,25 @@ def is_observed(frame: Any) -> Any:
     return (frame.position_information > 0.0) | (frame.pixel_information > 0.0)
 
 
+class Base(NamedTuple):
+    """Direction about which offsets are judged, and the weight of the observations there."""
+
+    cos: Any
+    sin: Any
+    weight: Any
+
+
 @inner
 def add_angle_evidence(
-    row: FloatArray,
-    modes: Modes,
-    weight: Any,
-    base_cos: Any,
-    base_sin: Any,
-    cos: Any,
-    sin: Any,
-    kappa: Any,
-    uniform: Any,
+    row: FloatArray, modes: Modes, base: Any, cos: Any, sin: Any, kappa: Any, uniform: Any
 ) -> None:
-    """Add the log likelihood (BASE,) of an observed angle at each offset; see `pose.add_angle`."""
-    known = weight * kappa > 0.0
+    """Add the log likelihood (BASE,) of an observed angle at each offset; see `orientation.add_angle`."""
+    known = base.weight * kappa > 0.0
     if not any_of(known):
         return
-    weight, kappa = choose(known, weight, 0.0), choose(known, kappa, 0.0)
-    along = choose(known, kappa * (cos * base_cos + sin * base_sin), 0.0)
-    across = choose(known, kappa * (sin * base_cos - cos * base_sin), 0.0)
+    weight, kappa = choose(known, base.weight, 0.0), choose(known, kappa, 0.0)
+    along = choose(known, kappa * (cos * base.cos + sin * base.sin), 0.0)
+    across = choose(known, kappa * (sin * base.cos - cos * base.sin), 0.0)
     softened, cosines, sines = uniform > 0.0, modes.cos, modes.sin
     # Two loops: a condition within a loop prevents vectorisation.
     if not any_of(softened):
@@ -148,59 +150,50 @@ def add_angle_evidence(
 
 @inner
 def add_class_evidence(
-    row: FloatArray,
-    modes: Modes,
-    weight: Any,
-    base_cos: Any,
-    base_sin: Any,
-    heights: FloatArray,
-    directions: FloatArray,
-    kappa: Any,
+    row: FloatArray, modes: Modes, base: Any, heights: FloatArray, directions: FloatArray, kappa: Any
 ) -> None:
-    """The same for class likelihoods; ``heights`` and ``directions`` as in `pose.add_classes`."""
-    if not any_of(weight * kappa > 0.0):
+    """The same for class likelihoods; ``heights`` and ``directions`` as in `orientation.add_classes`."""
+    if not any_of(base.weight * kappa > 0.0):
         return
     n_classes = len(heights) - 1
     for j in range(BASE):
-        along = base_cos * modes.cos[j] - base_sin * modes.sin[j]
-        across = base_sin * modes.cos[j] + base_cos * modes.sin[j]
+        along = base.cos * modes.cos[j] - base.sin * modes.sin[j]
+        across = base.sin * modes.cos[j] + base.cos * modes.sin[j]
         density = 0.0 * along + heights[n_classes]
         for c in range(n_classes):
             close = along * directions[c, 0] + across * directions[c, 1]
             density += heights[c] * exp(kappa * (close - 1.0))
-        row[j] += weight * log(density)
+        row[j] += base.weight * log(density)
 
 
 @inner
-def add_head_evidence(
-    problem: Problem, place: int, modes: Modes, weight: Any, base_cos: Any, base_sin: Any, row: FloatArray
-) -> None:
-    """Add the observations of the head, an angle and classes, of the frame whose record is at ``place``."""
+def add_body_evidence(problem: Problem, place: int, modes: Modes, base: Any, row: FloatArray) -> None:
+    """Add the observations of the body, an angle and classes, of the frame whose record is at ``place``."""
     frame = problem.records[place]
-    add_angle_evidence(
-        row,
-        modes,
-        weight,
-        base_cos,
-        base_sin,
-        frame.observed_head_cos,
-        frame.observed_head_sin,
-        frame.head_kappa,
-        frame.head_uniform,
-    )
+    cos, sin = frame.observed_body_cos, frame.observed_body_sin
+    add_angle_evidence(row, modes, base, cos, sin, frame.body_kappa, frame.body_uniform)
+    if any_of(frame.body_class_kappa > 0.0):
+        heights, directions = problem.body_heights[place], problem.body_directions
+        add_class_evidence(row, modes, base, heights, directions, frame.body_class_kappa)
+
+
+@inner
+def add_head_evidence(problem: Problem, place: int, modes: Modes, base: Any, row: FloatArray) -> None:
+    """Add the observations of the head in the same way."""
+    frame = problem.records[place]
+    cos, sin = frame.observed_head_cos, frame.observed_head_sin
+    add_angle_evidence(row, modes, base, cos, sin, frame.head_kappa, frame.head_uniform)
     if any_of(frame.head_class_kappa > 0.0):
         heights, directions = problem.head_heights[place], problem.head_directions
-        kappa = frame.head_class_kappa
-        add_class_evidence(row, modes, weight, base_cos, base_sin, heights, directions, kappa)
+        add_class_evidence(row, modes, base, heights, directions, frame.head_class_kappa)
 
 
 @merged
-def judge_body(
-    problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
-) -> None:
+def judge_body(chain: Chain, states: FloatArray, gait: Gait, memory: ModeMemory) -> None:
     """Log likelihoods (n, BASE) of the observations of body and head at each offset from the motion."""
-    offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
-    for k in range(n):
+    problem, offset = chain.problem, chain.problem.offsets[chain.track]
+    threshold = problem.shared[0].speed_threshold
+    for k in range(chain.n):
         frame, row = problem.records[offset + k], memory.likelihood[k]
         nothing = 0.0 * frame.dt
         for j in range(BASE):
@@ -218,31 +211,16 @@ def judge_body(
         loose = coupling * spread
         head_share = gait.head_evidence * loose / (loose + head * (coupling + spread) + 1e-300)
         head_share = choose(active, head_share, 0.0)
-        add_angle_evidence(
-            row,
-            gait.body,
-            share,
-            cos,
-            sin,
-            frame.observed_body_cos,
-            frame.observed_body_sin,
-            frame.body_kappa,
-            frame.body_uniform,
-        )
-        if any_of(frame.body_class_kappa > 0.0):
-            heights, directions = problem.body_heights[offset + k], problem.body_directions
-            kappa = frame.body_class_kappa
-            add_class_evidence(row, gait.body, share, cos, sin, heights, directions, kappa)
-        add_head_evidence(problem, offset + k, gait.body, head_share, cos, sin, row)
+        add_body_evidence(problem, offset + k, gait.body, Base(cos, sin, share), row)
+        add_head_evidence(problem, offset + k, gait.body, Base(cos, sin, head_share), row)
 
 
 @merged
-def judge_head(
-    problem: Problem, track: int, n: int, states: FloatArray, modes: Modes, memory: ModeMemory
-) -> None:
+def judge_head(chain: Chain, states: FloatArray, modes: Modes, memory: ModeMemory) -> None:
     """Log likelihoods (n, BASE) of the observations of the head at each offset from the body."""
-    offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
-    for k in range(n):
+    problem, offset = chain.problem, chain.problem.offsets[chain.track]
+    threshold = problem.shared[0].speed_threshold
+    for k in range(chain.n):
         frame, row = problem.records[offset + k], memory.likelihood[k]
         nothing = 0.0 * frame.dt
         for j in range(BASE):
@@ -258,7 +236,7 @@ def judge_head(
         tight = modes.strength * coupling
         share = tight / (tight + frame.head_information) * known / (known + coupling)
         share = choose(active, share, 0.0)
-        add_head_evidence(problem, offset + k, modes, share, cos, sin, row)
+        add_head_evidence(problem, offset + k, modes, Base(cos, sin, share), row)
 
 
 @compiled
@@ -339,23 +317,6 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
         for j in range(BASE):
             row[j] = exp(row[j] - greatest)
         base_total = glance_total = 0.0 * share
-        if k == 0 and not any_of(dt > 0.0):
-            outside = 1.0 - modes.glance_share
-            for j in range(BINS):
-                found = row[j] * (outside * (1.0 - modes.aligned) * anywhere[j])
-                now[j] = found
-                base_total += found
-            for j in range(BINS, BASE):
-                found = row[j] * (outside * modes.aligned * near[j - BINS])
-                now[j] = found
-                base_total += found
-            for j in range(BINS):
-                found = row[j] * (modes.glance_share * modes.glance[j])
-                now[BASE + j] = found
-                glance_total += found
-            share = 1.0 / (base_total + glance_total)
-            base = base_total * share
-            continue
         previous = filtered[k - 1] if k > 0 else before
         passes, side = drift_of(modes.drift, dt)
         source = previous
@@ -364,9 +325,12 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
                 spare[j] = previous[j]
             drift_further(spare, passes, side)
             source = spare
-        changes = changes_in(modes, dt)
+        # At a first frame all modes are drawn from the stationary density.
+        changes, inside = changes_in(modes, dt), dt > 0.0
         again = (1.0 - changes.begins - changes.kept) * base + changes.ends * (1.0 - base)
-        free, aligned, kept = again * (1.0 - modes.aligned), again * modes.aligned, changes.kept * share
+        again = choose(inside, again, 1.0 - modes.glance_share)
+        free, aligned = again * (1.0 - modes.aligned), again * modes.aligned
+        kept = choose(inside, changes.kept * share, 0.0)
         own, behind = source[0], source[_LAST]
         for j in range(BINS):
             beyond = source[j + 1 if j < _LAST else 0]
@@ -379,8 +343,9 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
             now[j] = found
             base_total += found
         if glances:
-            kept = changes.kept_glance * share
+            kept = choose(inside, changes.kept_glance * share, 0.0)
             again = changes.begins * base + (1.0 - changes.ends - changes.kept_glance) * (1.0 - base)
+            again = choose(inside, again, modes.glance_share)
             for j in range(BINS):
                 found = row[j] * (kept * previous[BASE + j] + again * modes.glance[j])
                 now[BASE + j] = found
@@ -537,6 +502,15 @@ class Coupling(NamedTuple):
     spread: Any  # standard deviation of the pull by modes and offsets
 
 
+class Lead(NamedTuple):
+    """Change of the direction that a coupling follows within its lead."""
+
+    cos: Any  # of the turn
+    sin: Any
+    excess: Any  # as in `loosened`
+    missing: Any  # seconds of the lead after the last frame
+
+
 @inner
 def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: float) -> Any:
     """Factor of a coupling's κ where the lead is unknown for ``missing`` seconds and turns are possible."""
@@ -549,80 +523,51 @@ def couple(
     found: Any,
     modes: Modes,
     kappa: Any,
-    lead_cos: Any,
-    lead_sin: Any,
-    excess: Any,
-    missing: Any,
-    weight: Any,
+    lead: Any,
+    frame: Any,
     diffusion: float,
-    weights: FloatArray,
+    weights: Any,
     has_spread: bool,
 ) -> Any:
     """The expected coupling over the modes, turned by the lead while that lasts, as `Coupling`.
 
-    Parameters
-    ----------
-    kappa : concentration when aligned
-    excess, missing, weight, diffusion : as in `loosened`
-    has_spread : compute the spread; else it is 0
+    ``kappa`` is the concentration when aligned. Without ``has_spread`` the spread is 0.
     """
     cos, sin = expected(found, modes.strength, modes.free_strength, modes.glance_strength)
     size = math.sqrt(cos * cos + sin * sin)
     some = size > 0.0
     cos, sin = choose(some, cos / size, 1.0), choose(some, sin / size, 0.0)
     given, spread = choose(some, kappa * size, 0.0), 0.0 * kappa
-    remains = loosened(given, excess, missing, weight, diffusion)
+    remains = loosened(given, lead.excess, lead.missing, frame.coupling_weight, diffusion)
     if has_spread:
         spread = choose(some, kappa * remains * deviation(found, modes, cos, sin, weights), 0.0)
     return Coupling(
         given * remains,
-        choose(some, cos * lead_cos - sin * lead_sin, 1.0),
-        choose(some, sin * lead_cos + cos * lead_sin, 0.0),
+        choose(some, cos * lead.cos - sin * lead.sin, 1.0),
+        choose(some, sin * lead.cos + cos * lead.sin, 0.0),
         spread,
     )
 
 
 @merged
-def renew_body(
-    problem: Problem,
-    track: int,
-    n: int,
-    length: Any,
-    states: FloatArray,
-    gait: Gait,
-    has_spread: bool,
-    memory: ModeMemory,
-) -> None:
+def renew_body(chain: Chain, states: FloatArray, gait: Gait, has_spread: bool, memory: ModeMemory) -> None:
     """Set the coupling of body and motion in all frames."""
-    shared, offset, modes, filtered = (
-        problem.shared[0],
-        problem.offsets[track],
-        gait.body,
-        memory.filtered_body,
-    )
-    look_ahead(n, length, states, modes.lead, True, memory.dt, memory.ahead)
-    judge_body(problem, track, n, states, gait, memory)
+    problem, n, modes, filtered = chain.problem, chain.n, gait.body, memory.filtered_body
+    shared, offset = problem.shared[0], problem.offsets[chain.track]
+    look_ahead(n, chain.length, states, modes.lead, True, memory.dt, memory.ahead)
+    judge_body(chain, states, gait, memory)
     filter_modes(n, modes, memory.before[BODY_MODE], filtered, memory)
-    left = 0.0 * length
+    left = 0.0 * chain.length
     following = begin_back(left, memory)
     for k in range(n - 1, -1, -1):
         frame, vx, vy = problem.records[offset + k], states[k, VX], states[k, VY]
         found, following = smooth_modes(k, modes, filtered, following, memory)
         own_cos, own_sin = direction_of(vx, vy)
         cos, sin = direction_of(memory.ahead[k, AHEAD_VX], memory.ahead[k, AHEAD_VY])
-        coupling = couple(
-            found,
-            modes,
-            frame.body_aligned_kappa,
-            cos * own_cos + sin * own_sin,
-            sin * own_cos - cos * own_sin,
-            squared_excess(vx, vy, shared.speed_threshold),
-            modes.lead - left,
-            frame.coupling_weight,
-            shared.body_diffusion,
-            memory.weight[0],
-            has_spread,
-        )
+        excess, missing = squared_excess(vx, vy, shared.speed_threshold), modes.lead - left
+        lead = Lead(cos * own_cos + sin * own_sin, sin * own_cos - cos * own_sin, excess, missing)
+        kappa, weights = frame.body_aligned_kappa, memory.weight[0]
+        coupling = couple(found, modes, kappa, lead, frame, shared.body_diffusion, weights, has_spread)
         frame.motion_body_kappa, frame.motion_body_cos = coupling.kappa, coupling.cos
         frame.motion_body_sin = coupling.sin
         memory.held[k, 0], memory.held[k, 1] = expected(found, 1.0, 1.0, 0.0)
@@ -632,41 +577,24 @@ def renew_body(
 
 @merged
 def renew_head(
-    problem: Problem,
-    track: int,
-    n: int,
-    length: Any,
-    states: FloatArray,
-    gait: Gait,
-    classified: bool,
-    has_spread: bool,
-    memory: ModeMemory,
+    chain: Chain, states: FloatArray, gait: Gait, classified: bool, has_spread: bool, memory: ModeMemory
 ) -> None:
     """Set the coupling of head and body in all frames, and the head's steering of the following steps."""
-    shared, offset, filtered = problem.shared[0], problem.offsets[track], memory.filtered_head
+    problem, n, filtered = chain.problem, chain.n, memory.filtered_head
+    shared, offset = problem.shared[0], problem.offsets[chain.track]
     modes = gait.classified_head if classified else gait.head
-    look_ahead(n, length, states, modes.lead, False, memory.dt, memory.ahead)
-    judge_head(problem, track, n, states, modes, memory)
+    look_ahead(n, chain.length, states, modes.lead, False, memory.dt, memory.ahead)
+    judge_head(chain, states, modes, memory)
     filter_modes(n, modes, memory.before[HEAD_MODE], filtered, memory)
-    left, common = 0.0 * length, math.sqrt(gait.head_common)
+    left, common = 0.0 * chain.length, math.sqrt(gait.head_common)
     following = begin_back(left, memory)
     for k in range(n - 1, -1, -1):
         frame = problem.records[offset + k]
         found, following = smooth_modes(k, modes, filtered, following, memory)
         lead_cos, lead_sin = cos_sin(memory.ahead[k, AHEAD_BODY] - states[k, BODY])
-        coupling = couple(
-            found,
-            modes,
-            frame.head_aligned_kappa,
-            lead_cos,
-            lead_sin,
-            1.0 + 0.0 * left,
-            modes.lead - left,
-            frame.coupling_weight,
-            shared.body_diffusion,
-            memory.weight[0],
-            has_spread,
-        )
+        lead = Lead(lead_cos, lead_sin, 1.0 + 0.0 * left, modes.lead - left)
+        kappa, weights = frame.head_aligned_kappa, memory.weight[0]
+        coupling = couple(found, modes, kappa, lead, frame, shared.body_diffusion, weights, has_spread)
         frame.head_body_kappa, frame.head_body_cos = coupling.kappa, coupling.cos
         frame.head_body_sin, frame.head_doubt = coupling.sin, found.mistaken
         memory.held[k, GLANCE] = found.glance
@@ -691,31 +619,22 @@ def begin_back(zero: Any, memory: ModeMemory) -> Any:
 
 @compiled
 def renew_couplings(
-    problem: Problem,
-    track: int,
-    n: int,
-    length: Any,
-    states: FloatArray,
-    gait: Gait,
-    classified: bool,
-    has_spread: bool,
-    memory: ModeMemory,
+    chain: Chain, states: FloatArray, gait: Gait, classified: bool, has_spread: bool, memory: ModeMemory
 ) -> None:
     """Set the couplings of a track's frames, and the steering between them, by the modes given the states.
 
     Parameters
     ----------
-    n, length : number of frames: of the longest of the lanes, and of each
     states : (n, 6)
     classified : the head is observed by a classifier, whose errors may persist
     has_spread : compute ``memory.spread``
     memory : ``before`` is read where the first frame has a dt; ``held`` and ``spread`` are results
     """
-    offset = problem.offsets[track]
-    for k in range(n):
-        memory.dt[k] = problem.records[offset + k].dt
-    renew_body(problem, track, n, length, states, gait, has_spread, memory)
-    renew_head(problem, track, n, length, states, gait, classified, has_spread, memory)
+    offset = chain.problem.offsets[chain.track]
+    for k in range(chain.n):
+        memory.dt[k] = chain.problem.records[offset + k].dt
+    renew_body(chain, states, gait, has_spread, memory)
+    renew_head(chain, states, gait, classified, has_spread, memory)
 
 
 @inner

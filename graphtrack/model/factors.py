@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import GraphtrackError
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Kernel, N
 from graphtrack.model.observation import Step
-from graphtrack.model.packing import PackedTerm, PackedTracks
+from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks
 from graphtrack.packages import gtsam
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
 
 def von_mises_noise(kappa: float) -> gtsam.noiseModel.Base:
@@ -153,7 +152,7 @@ COUPLED = (
     "steer_cross",
     "steer_spread",
 )
-"""The fields of a frame that the coupling modes set; see `gait.GaitOffsets`."""
+"""The fields of a frame that the coupling modes set; see `couplings.GaitOffsets`."""
 
 Couplings = Mapping[int, Sequence[float]]  # Index of a step → values of its `COUPLED` fields
 
@@ -165,8 +164,8 @@ _CONSTANTS: dict[str, Any] = {
     "exact": False,
     "origin_x": 0.0,
     "origin_y": 0.0,
-    "body_directions": unit(class_centres(BODY_CLASSES)),
-    "head_directions": unit(class_centres(HEAD_CLASSES)),
+    "body_directions": CLASS_DIRECTIONS[0],
+    "head_directions": CLASS_DIRECTIONS[1],
 }
 
 _SCRATCH = {
@@ -207,15 +206,20 @@ def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: f
     return abs(new[7] - old[7]) > threshold * max(new[7], old[7])
 
 
-def derived_factors(
-    term: PackedTerm, step: Step, couplings: Couplings | None = None
+def kernel_factors(
+    kernels: tuple[Kernel, ...],
+    packed: PackedTracks,
+    live: Sequence[tuple[str, float]],
+    step: Step,
+    couplings: Couplings | None = None,
 ) -> Sequence[gtsam.NonlinearFactor]:
-    """The factors of a term at a step, one for each live kernel; ``couplings`` set their `COUPLED` fields."""
-    packed = term.packer(step.observation, step.dt, step.starts, step.camera)
-    live = tuple(term.packer.live(step.observation))
+    """One factor for each kernel that is called at a step; ``couplings`` set their `COUPLED` fields.
+
+    ``packed``: frame of its kind; ``live``: values of the fields that differ between frames of a kind.
+    """
     return [
         _factor(call, live, step, couplings)
-        for call in _calls(term, packed)
+        for call in _calls(kernels, packed)
         if not (call.kernel.before and step.previous is None)
     ]
 
@@ -250,12 +254,12 @@ class _Call:
 
 
 @lru_cache(maxsize=256)
-def _calls(term: PackedTerm, packed: PackedTracks) -> list[_Call]:
+def _calls(kernels: tuple[Kernel, ...], packed: PackedTracks) -> list[_Call]:
     record = packed.records[0]
     names = record.dtype.names or ()
     return [
         _Call(kernel, packed)
-        for kernel in term.kernels
+        for kernel in kernels
         if record[kernel.gate] > 0.0 and not (kernel.unless in names and record[kernel.unless] > 0.0)
     ]
 

@@ -13,7 +13,6 @@ import inspect
 import sys
 import textwrap
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -25,35 +24,14 @@ from numba.extending import overload
 
 from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
-from graphtrack.kernels.lanes import LaneRecordsType
-from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of
+from graphtrack.kernels.lanes import LaneArrayType
+from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of, record_type
 from graphtrack.model import Model, Term, program
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
 
 if TYPE_CHECKING:
     from graphtrack.model.term import Term
-
-
-_FUNCTIONS: dict[tuple[str, ...], Any] = {}  # Names of the fields of a record → the functions of its program
-
-
-@dataclass(frozen=True, eq=False)
-class FrameProgram:
-    """Record types of a frame program, and the gates of links to the previous frame and of the modes."""
-
-    types: RecordTypes
-    links: tuple[str, ...]
-    switched: tuple[str, ...]
-
-    @classmethod
-    def of(cls, functions: Any) -> FrameProgram:
-        """The program whose functions and types are the attributes of a module or a namespace."""
-        _FUNCTIONS[functions.FRAME.names] = functions
-        return cls(RecordTypes(functions.FRAME, functions.SHARED), functions.LINKS, functions.SWITCHED)
-
-
-OF_PRESETS = FrameProgram.of(program)  # The program of the package's terms
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -64,7 +42,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
-        if isinstance(kind, LaneRecordsType):
+        if isinstance(kind, LaneArrayType):
             fields = kind.places
         else:
             fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
@@ -91,9 +69,11 @@ _GIVEN = {
     **{name: name for name in ("state", "before", "start", "exact", *_TURNS)},
     **{f"{name}_before": f"{name}_before" for name in _TURNS},
     **{
-        name: f"masked({name}, gate)"
-        for name in ("gradient", "hessian", "gradient_before", "hessian_before", "transition")
+        f"{name}{end}": f"masked(sums{end}.{name}, gate)"
+        for name in ("gradient", "hessian")
+        for end in ("", "_before")
     },
+    "transition": "masked(transition, gate)",
     "origin_x": "problem.origin[track, 0]",
     "origin_y": "problem.origin[track, 1]",
     "body_heights": "problem.body_heights[place]",
@@ -116,12 +96,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 {imports}
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
 
 '''
 
@@ -129,7 +107,7 @@ _FRAME = '''
 @compiled
 def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
 ) -> Any:
     """Add the terms of frame k of a track; returns their cost.
 
@@ -159,13 +137,13 @@ def cut(frame: Any) -> None:
 _QUARTERS = '''
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
-    body: Any, head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
+    head: Any,
 ) -> None:
     """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``gradient`` and ``hessian`` are memory.
+    filled in. ``sums`` is memory.
     """
     place = problem.offsets[track] + k
     frame, shared = problem.records[place], problem.shared[0]
@@ -176,8 +154,8 @@ def set_quarter_turns(
 '''
 
 
-class Program:
-    """The source of the frame program of some terms.
+class FrameProgram:
+    """The frame program of some terms: the types of its records, and its source.
 
     Parameters
     ----------
@@ -186,32 +164,44 @@ class Program:
     more_terms : terms whose fields alone it has, since other functions read them
     *fields : further fields of the record
 
+    Attributes
+    ----------
+    types : of the records of frames, and of the fields that all frames share
+    links, switched : gates of links to the previous frame, and of kernels that the coupling modes switch
+
     Raises
     ------
     ValueError
-        For kernels with unknown parameters or gates, and for two fields of one name.
+        For two fields of one name; from `source` for kernels with unknown parameters or gates.
     """
 
     def __init__(
         self, terms: Iterable[type[Term]], title: str, more_terms: Iterable[type[Term]] = (), *fields: Field
     ) -> None:
-        terms = list(terms)
+        terms, self._title = list(terms), title
         every = [*more_terms, *terms]
-        self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
-        self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
-        self.kernels: tuple[Kernel, ...] = tuple({id(k): k for term in terms for k in term.kernels}.values())
-        self._modules: dict[str, str] = {}
-        self._frame_names = {f.name for f in self.fields}
-        names = [f.name for f in (*self.fields, *self.shared)]
+        frame = dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields])
+        shared = dict.fromkeys(f for term in every for f in term.shared)
+        names = [f.name for f in (*frame, *shared)]
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise ValueError(f"found two fields named {', '.join(sorted(double))}, expected other names")
-        self._known = {name: f"shared.{name}" for name in names} | _GIVEN
+        self.types = RecordTypes(record_type(frame), record_type(shared))
+        self._kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
+        self.links = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.before))
+        self.switched = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.switched))
+        self._modules: dict[str, str] = {}
+        self._frame_names = {f.name for f in frame}
+        self._known = {f.name: f"shared.{f.name}" for f in shared} | _GIVEN
         self._known |= {name: f"frame.{name}" for name in self._frame_names}
-        body = self._types() + self._frame() + self._cut() + self._quarter_turns()
+
+    @property
+    def source(self) -> str:
+        """The text of its functions."""
+        body = self._frame() + self._cut() + self._quarter_turns()
         aliases = sorted(self._modules.items(), key=lambda alias: alias[1])
         imports = "\n".join(f"import {module} as {alias}" for alias, module in aliases)
-        self.source = _HEADER.format(title=title, imports=imports) + body
+        return _HEADER.format(title=self._title, imports=imports) + body
 
     def _name(self, function: Function) -> str:
         """The name of a function in the program, which imports its module."""
@@ -221,18 +211,19 @@ class Program:
             alias += "_"
         return f"{alias}.{name}"
 
-    def _call(
-        self, indent: int, begin: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]
-    ) -> str:
-        """A call of a function, with its parameters renamed by ``names`` and replaced by ``here``."""
+    def _call(self, line: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]) -> str:
+        """A line with the call of a function at its ``{}``.
+
+        Its parameters are renamed by ``names`` and replaced by ``here``.
+        """
         known, given = {**self._known, **here}, arguments_of(function, names)
         for name in given:
             if name not in known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        line = f"{begin}{self._name(function)}({', '.join(known[name] for name in given)})"
-        space = " " * indent
-        return textwrap.fill(line, 110, initial_indent=space, subsequent_indent=space + "    ") + "\n"
+        line = line.format(f"{self._name(function)}({', '.join(known[name] for name in given)})")
+        space = " " * (len(line) - len(line.lstrip()))
+        return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"
 
     def _opened(self, kernel: Kernel, indent: int) -> str:
         """The condition under which a kernel is called."""
@@ -243,60 +234,43 @@ class Program:
             gate = f"({gate}) & negate(frame.{kernel.unless} > 0.0)"
         return textwrap.indent(f"gate = {gate}\nif any_of(gate):\n", " " * indent)
 
-    def _types(self) -> str:
-        text = ""
-        for name, fields, what in (
-            ("FRAME", self.fields, "One frame. A gate is 0 where its kernel is not called."),
-            ("SHARED", self.shared, "Fields shared by all frames of a job."),
-        ):
-            text += f"{name} = np.dtype([\n"
-            for f in fields:
-                shape, meaning = f", {f.shape}" if f.shape else "", f"  # {f.meaning}" if f.meaning else ""
-                text += f'    ("{f.name}", float{shape}),{meaning}\n'
-            text += f'])\n"""{what}"""\n\n'
-        links = [kernel.gate for kernel in self.kernels if kernel.before]
-        switched = [kernel.gate for kernel in self.kernels if kernel.switched]
-        for name, gates, what in (
-            ("LINKS", links, "Gates of links to the previous frame."),
-            ("SWITCHED", switched, "Gates of kernels that the coupling modes switch."),
-        ):
-            quoted = "".join(f'"{gate}", ' for gate in dict.fromkeys(gates)).strip()
-            text += f'{name} = ({quoted})\n"""{what}"""\n\n'
-        return text
-
     def _frame(self) -> str:
         text = _FRAME
         for links in (True, False):
             text += "" if links else "    if own:\n"
-            for kernel in self.kernels:
+            for kernel in self._kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
-                    text += self._call(12, "found = ", kernel.function, kernel.names, {})
-                    text += "            cost += choose(gate, found, 0.0)\n"
+                    line = " " * 12 + "cost += choose(gate, {}, 0.0)"
+                    text += self._call(line, kernel.function, kernel.names, {})
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
-        links = dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before)
-        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in links) + "\n"
+        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in self.links) + "\n"
 
     def _quarter_turns(self) -> str:
         """Calls of the kernels that the basin search tabulates."""
         text = _QUARTERS
-        for kernel in self.kernels:
+        for kernel in self._kernels:
             name = kernel.orientation
             if name is None or "start" in kernel.arguments:
                 continue
             text += self._opened(kernel, 4)
             if kernel.add_quarter_turns is not None:
                 here = {"cost": f"masked({name}, gate)"}
-                text += self._call(8, "", kernel.add_quarter_turns, kernel.names, here)
+                text += self._call(" " * 8 + "{}", kernel.add_quarter_turns, kernel.names, here)
                 continue
             here = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
             text += f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
-            text += self._call(12, "found = ", kernel.function, kernel.names, here)
-            text += f"            {name}[q] += choose(gate, found, 0.0)\n"
+            line = " " * 12 + name + "[q] += choose(gate, {}, 0.0)"
+            text += self._call(line, kernel.function, kernel.names, here)
             text += "            cos, sin = -sin, cos\n"
         return text
+
+
+OF_PRESETS = FrameProgram(every_term(), "the presets' terms")
+_FUNCTIONS: dict[tuple[str, ...], Any] = {OF_PRESETS.types.frame.names or (): program}
+"""Names of the fields of a record → the functions of its program."""
 
 
 def program_of(model: Model) -> FrameProgram:
@@ -321,20 +295,17 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
     title = ", ".join(kind.__name__ for kind in kinds)
     name = f"program_{_digest(functions)}"
     # The names of the record's fields distinguish the solver's machine code on disk.
-    source = Program(kinds, title, every_term(), Field(name, "program of the record")).source
+    made = FrameProgram(kinds, title, every_term(), Field(name, "program of the record"))
     # Machine code on disk names the module of each function, which is imported when it is loaded.
     module = sys.modules[name] = ModuleType(name)
-    exec(compile(source, f"<{name}>", "exec"), vars(module))
-    return FrameProgram.of(module)
+    exec(compile(made.source, f"<{name}>", "exec"), vars(module))
+    _FUNCTIONS[made.types.frame.names or ()] = module
+    return made
 
 
 def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
     """The kernels and fields of some terms."""
-    return {
-        one
-        for kind in kinds
-        for one in (*kind.fields, *kind.shared, *(id(kernel) for kernel in kind.kernels))
-    }
+    return {one for kind in kinds for one in (*kind.fields, *kind.shared, *kind.kernels)}
 
 
 def _check(function: Function) -> None:
@@ -367,5 +338,4 @@ def _digest(functions: Iterable[Function]) -> str:
 
 
 if __name__ == "__main__":
-    written = Program(every_term(), "the presets' terms").source
-    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")
+    Path(__file__).with_name("program.py").write_text(OF_PRESETS.source, encoding="utf-8")

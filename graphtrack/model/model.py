@@ -14,9 +14,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
-from graphtrack.model.factors import COUPLED, Couplings, derived_factors
+from graphtrack.model.factors import COUPLED, Couplings
 from graphtrack.model.observation import States, Step
-from graphtrack.model.packing import FramePacker, PackedTracks, RecordTypes
+from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import (
     LikelihoodParameters,
     MotionParameters,
@@ -24,19 +24,19 @@ from graphtrack.model.parameters import (
     Parameters,
     steady,
 )
-from graphtrack.model.term import Term
-from graphtrack.model.terms.anchor import Anchor
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.faces_group import FacesGroup
-from graphtrack.model.terms.gait import GaitOffsets
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import OrientationPersistence
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
-from graphtrack.model.terms.motion import Motion
+from graphtrack.model.term import FramePacker, Term, types_of
+from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
+from graphtrack.model.terms.couplings import BodyFollowsMotion, GaitOffsets, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion, Motion
+from graphtrack.model.terms.orientation import (
+    Anchor,
+    BodyDynamics,
+    BodyLikelihood,
+    HeadDynamics,
+    HeadLikelihood,
+)
 from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.packages import gtsam
 from graphtrack.tracks.display import html_table, listed, shortened
 from graphtrack.tracks.scene import GivenScene, known_values
@@ -134,7 +134,7 @@ class Model:
         self.preset = preset
         self.parameters = default_parameters(preset) if parameters is None else parameters
         self.own_terms = tuple(terms)
-        self.scene = known_values(scene)
+        self.scene = {} if scene is None else known_values(scene)
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
@@ -167,6 +167,10 @@ class Model:
         """The same terms and scene with other parameters."""
         return Model(self.preset, parameters, self.own_terms, self.scene)
 
+    def with_terms(self, *kinds: type[Term]) -> Model:
+        """The same model with further terms."""
+        return Model(self.preset, self.parameters, (*self.own_terms, *kinds), self.scene)
+
     def with_scene(self, scene: GivenScene) -> Model:
         """The same terms and parameters, with the known parameters of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)
@@ -197,20 +201,20 @@ class Model:
         """All factors of a step; ``couplings`` are those that the modes set."""
         for term in self.terms:
             if term.is_compiled:
-                vars(term).setdefault("packer", self._packer)
+                vars(term).setdefault("packer", self.packer)
         if couplings is None or not self.has_modes:
             return [factor for term in self.terms for factor in term.factors(step)]
         found: list[gtsam.NonlinearFactor] = []
         for term in self.terms:
             follows = any(not set(COUPLED).isdisjoint(kernel.arguments) for kernel in term.kernels)
-            found += derived_factors(term, step, couplings) if follows else term.factors(step)
+            found += term.derived_factors(step, couplings) if follows else term.factors(step)
         return found
 
     @cached_property
-    def _packer(self) -> FramePacker:
-        """The packer of frames for all terms at once."""
+    def packer(self) -> FramePacker:
+        """The packer of frames for all compiled terms at once; an engine may set one with more fields."""
         known = [term for term in self.terms if term.is_compiled]
-        return FramePacker(known, RecordTypes.of(known))
+        return FramePacker(known, types_of(known))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of states (up to constants), from the terms' densities and not the factors."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.errors import NO_POSITION, SolveError
-from graphtrack.geometry.angles import FloatArray, class_centres, direction, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
@@ -167,30 +167,3 @@ def require_position(track: Track) -> None:
     """Raise SolveError if a track has no position at all."""
     if not np.isfinite(track.position).all(axis=1).any():
         raise SolveError(track.track_id, NO_POSITION)
-
-
-def observed_vectors(track: Track, name: str) -> FloatArray:
-    """Vectors (n, 2) along the observed directions of body or head; NaN where unobserved."""
-    angle = getattr(track, name)
-    directions = None if angle is None else unit(angle)
-    return vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
-
-
-def observed_angle(track: Track, name: str) -> FloatArray:
-    """Observed angle (n,) of body or head in radians; NaN where unobserved."""
-    vectors = observed_vectors(track, name)
-    return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
-
-
-def vectors_of(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
-    """Vectors (n, 2) from unit vectors, or else from class likelihoods; NaN where both are missing."""
-    if directions is not None and classes is None:
-        return directions
-    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
-    if classes is not None:
-        total = classes.sum(axis=1)
-        usable = np.isfinite(total) & (total > 0.0)
-        weights = classes[usable] / total[usable, None]
-        # Not `@`: its rounding depends on the number of rows, so on the other tracks of a batch.
-        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
-    return vectors

@@ -9,104 +9,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-import graphtrack.model.terms.anchor as anchor_kernels
-import graphtrack.model.terms.body_follows_motion as body_follows_motion_kernels
-import graphtrack.model.terms.faces_group as faces_group_kernels
-import graphtrack.model.terms.head_follows_body as head_follows_body_kernels
-import graphtrack.model.terms.holds_still as holds_still_kernels
-import graphtrack.model.terms.intentional_motion as intentional_motion_kernels
+import graphtrack.model.terms.conversation as conversation_kernels
+import graphtrack.model.terms.couplings as couplings_kernels
 import graphtrack.model.terms.motion as motion_kernels
+import graphtrack.model.terms.orientation as orientation_kernels
 import graphtrack.model.terms.place as place_kernels
-import graphtrack.model.terms.pose as pose_kernels
 import graphtrack.model.terms.position as position_kernels
-import graphtrack.model.terms.turning as turning_kernels
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem
-
-FRAME = np.dtype([
-    ("dt", float),  # seconds since the person's previous frame; 0 at the first
-    ("motion_information", float),  # 1/q in s³/m²; 0 at the first frame
-    ("velocity_information", float),  # of the prior on the velocity, where it applies
-    ("x", float),  # observed position in the world, metres
-    ("y", float),
-    ("position_information", float),  # 1/σ²; 0: no position was observed
-    ("u", float),  # observed pixel without the lens
-    ("v", float),
-    ("pixel_information", float),  # 1/σ² in pixels⁻²; 0: no likelihood in pixels
-    ("body_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
-    ("head_turn_kappa", float),  # of rotational diffusion since the frame before; 0 at the first
-    ("observed_body_cos", float),  # direction, concentration and ε/2π of an observed body angle
-    ("observed_body_sin", float),
-    ("body_kappa", float),
-    ("body_uniform", float),  # the outliers' density over that at the peak of the von Mises
-    ("body_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
-    ("body_doubt", float),  # probability that the observation is uninformative, by the coupling modes
-    ("observed_head_cos", float),  # direction, concentration and ε/2π of an observed head angle
-    ("observed_head_sin", float),
-    ("head_kappa", float),
-    ("head_uniform", float),  # the outliers' density over that at the peak of the von Mises
-    ("head_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
-    ("head_doubt", float),  # probability that the observation is uninformative, by the coupling modes
-    ("motion_body_kappa", float),  # κ₁ with the frame's weight
-    ("motion_body_cos", float),  # of the offset of the coupling from motion to body
-    ("motion_body_sin", float),
-    ("head_body_kappa", float),  # κ₂ with the frame's weight
-    ("head_body_cos", float),  # of the offset of the coupling from body to head
-    ("head_body_sin", float),
-    ("steer_gain", float),  # share of the velocity that turns to the head; 0: white-noise acceleration
-    ("steer_reach", float),  # seconds that the old velocity carries on
-    ("steer_place", float),  # information on the position, on both, and on the velocity
-    ("steer_cross", float),
-    ("steer_spread", float),
-    ("steer_rate", float),  # λ in 1/s, before scaling by the modes
-    ("body_aligned_kappa", float),  # κ₁ and κ₂ with the weight, before scaling by the modes
-    ("head_aligned_kappa", float),
-    ("coupling_weight", float),  # that weight
-    ("body_information", float),  # Fisher information of the observations of the body, and of the head
-    ("head_information", float),
-    ("place_weight", float),  # |strength| with the frame's weight
-    ("group_weight", float),  # of the direction of the o-space
-    ("group_cos", float),  # of that direction
-    ("group_sin", float),
-    ("group_hold", float),  # probability of the conversation; 0 at the first frame
-    ("group_drift", float),  # radians up to which a turn is a drift
-    ("body_anchor", float),  # concentration that holds a first orientation to its initial value
-    ("head_anchor", float),
-])
-"""One frame. A gate is 0 where its kernel is not called."""
-
-SHARED = np.dtype([
-    ("robust", float),  # 0 none, 1 Huber, 2 Cauchy
-    ("robust_threshold", float),  # standard deviations
-    ("to_image", float, (3, 3)),  # from metres about the world's origin to ideal pixels
-    ("speed_threshold", float),  # τ in m/s
-    ("body_diffusion", float),  # rad²/s
-    ("place_x", float),  # the place in the world, metres
-    ("place_y", float),
-    ("place_radius", float),  # metres
-    ("place_sign", float),  # 1: it attracts people, −1: it repels them
-    ("group_body_kappa", float),  # concentration of bodies about the direction
-    ("group_head_kappa", float),  # of heads
-    ("group_outliers", float),  # share of members who face elsewhere
-    ("group_body_hold", float),  # cost of a radian's turn
-    ("group_head_hold", float),
-])
-"""Fields shared by all frames of a job."""
-
-LINKS = ("motion_information", "body_turn_kappa", "head_turn_kappa", "steer_gain", "group_hold",)
-"""Gates of links to the previous frame."""
-
-SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain",)
-"""Gates of kernels that the coupling modes switch."""
+from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
 
 
 @compiled
 def add_frame(
     problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, gradient_before: Any, gradient: Any, hessian_before: Any, hessian: Any, transition: Any,
+    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
 ) -> Any:
     """Add the terms of frame k of a track; returns their cost.
 
@@ -127,125 +44,110 @@ def add_frame(
         head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
         gate = (frame.motion_information > 0.0) & negate(frame.steer_gain > 0.0)
         if any_of(gate):
-            found = motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
+                masked(sums_before.gradient, gate), masked(sums.gradient, gate), masked(sums_before.hessian,
+                gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.body_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos, body_sin, at_body,
-                frame.body_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
-                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_turn(body_cos_before, body_sin_before, body_cos,
+                body_sin, at_body, frame.body_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.head_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos, head_sin, at_head,
-                frame.head_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
-                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_turn(head_cos_before, head_sin_before, head_cos,
+                head_sin, at_head, frame.head_turn_kappa, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.steer_gain > 0.0
         if any_of(gate):
-            found = intentional_motion_kernels.add_steered_motion(before, state, head_cos_before,
+            cost += choose(gate, motion_kernels.add_steered_motion(before, state, head_cos_before,
                 head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
-                frame.steer_cross, frame.steer_spread, exact, masked(gradient_before, gate), masked(gradient,
-                gate), masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+                frame.steer_cross, frame.steer_spread, exact, masked(sums_before.gradient, gate),
+                masked(sums.gradient, gate), masked(sums_before.hessian, gate), masked(sums.hessian, gate),
+                masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(body_cos_before, body_sin_before, body_cos, body_sin,
-                at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(body_cos_before, body_sin_before,
+                body_cos, body_sin, at_body, frame.group_hold, frame.group_drift, shared.group_body_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_persistence(head_cos_before, head_sin_before, head_cos, head_sin,
-                at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_persistence(head_cos_before, head_sin_before,
+                head_cos, head_sin, at_head, frame.group_hold, frame.group_drift, shared.group_head_hold,
+                exact, masked(sums_before.gradient, gate), masked(sums.gradient, gate),
+                masked(sums_before.hessian, gate), masked(sums.hessian, gate), masked(transition, gate)), 0.0)
     if own:
         gate = frame.velocity_information > 0.0
         if any_of(gate):
-            found = motion_kernels.add_first_velocity(state, frame.velocity_information, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, motion_kernels.add_first_velocity(state, frame.velocity_information,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = (frame.position_information > 0.0) & negate(frame.pixel_information > 0.0)
         if any_of(gate):
-            found = position_kernels.add_position(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.x, frame.y, frame.position_information, shared.robust, shared.robust_threshold, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_position(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.x, frame.y, frame.position_information, shared.robust,
+                shared.robust_threshold, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.pixel_information > 0.0
         if any_of(gate):
-            found = position_kernels.add_pixel(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.u, frame.v, frame.pixel_information, shared.to_image, shared.robust,
-                shared.robust_threshold, exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, position_kernels.add_pixel(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.u, frame.v, frame.pixel_information, shared.to_image,
+                shared.robust, shared.robust_threshold, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.observed_body_cos,
-                frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
-                masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_angle(body_cos, body_sin, at_body,
+                frame.observed_body_cos, frame.observed_body_sin, frame.body_kappa, frame.body_uniform, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(body_cos, body_sin, at_body, problem.body_heights[place],
-                problem.body_directions, frame.body_class_kappa, frame.body_doubt, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_classes(body_cos, body_sin, at_body,
+                problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
+                frame.body_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.observed_head_cos,
-                frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
-                masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_angle(head_cos, head_sin, at_head,
+                frame.observed_head_cos, frame.observed_head_sin, frame.head_kappa, frame.head_uniform, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_classes(head_cos, head_sin, at_head, problem.head_heights[place],
-                problem.head_directions, frame.head_class_kappa, frame.head_doubt, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_classes(head_cos, head_sin, at_head,
+                problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
+                frame.head_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            found = body_follows_motion_kernels.add_body_follows_motion(state, body_cos, body_sin,
+            cost += choose(gate, couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
                 frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
-                exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+                exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
-            found = head_follows_body_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
-                frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(gradient,
-                gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos,
+                head_sin, frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.place_weight > 0.0
         if any_of(gate):
-            found = place_kernels.add_place(state, problem.origin[track, 0], problem.origin[track, 1],
-                frame.place_weight, shared.place_x, shared.place_y, shared.place_radius, shared.place_sign,
-                exact, masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, place_kernels.add_place(state, problem.origin[track, 0],
+                problem.origin[track, 1], frame.place_weight, shared.place_x, shared.place_y,
+                shared.place_radius, shared.place_sign, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_body, body_cos, body_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, conversation_kernels.add_faces_group(at_head, head_cos, head_sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_anchor(body_cos, body_sin, at_body, start,
+                frame.body_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            cost += choose(gate, found, 0.0)
+            cost += choose(gate, orientation_kernels.add_anchor(head_cos, head_sin, at_head, start,
+                frame.head_anchor, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
     return cost
 
 
@@ -261,13 +163,13 @@ def cut(frame: Any) -> None:
 
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
-    body: Any, head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
+    head: Any,
 ) -> None:
     """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
 
     ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``gradient`` and ``hessian`` are memory.
+    filled in. ``sums`` is memory.
     """
     place = problem.offsets[track] + k
     frame, shared = problem.records[place], problem.shared[0]
@@ -277,39 +179,37 @@ def set_quarter_turns(
         body[q] = head[q] = 0.0 * body_cos
     gate = frame.body_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.observed_body_cos, frame.observed_body_sin,
+        orientation_kernels.add_angle_quarter_turns(frame.observed_body_cos, frame.observed_body_sin,
             frame.body_kappa, frame.body_uniform, body_cos, body_sin, masked(body, gate))
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
+        orientation_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
             problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
     gate = frame.head_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
+        orientation_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
             frame.head_kappa, frame.head_uniform, head_cos, head_sin, masked(head, gate))
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
+        orientation_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
             problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
-        body_follows_motion_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa,
-            shared.speed_threshold, body_cos, body_sin, masked(body, gate))
+        couplings_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa, shared.speed_threshold,
+            body_cos, body_sin, masked(body, gate))
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = body_cos, body_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            body[q] += choose(gate, found, 0.0)
+            body[q] += choose(gate, conversation_kernels.add_faces_group(at_body, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = head_cos, head_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
-                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
-                masked(gradient, gate), masked(hessian, gate))
-            head[q] += choose(gate, found, 0.0)
+            head[q] += choose(gate, conversation_kernels.add_faces_group(at_head, cos, sin,
+                frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
+                shared.group_outliers, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
             cos, sin = -sin, cos

@@ -1,17 +1,19 @@
-"""The protocol of a term of the model."""
+"""A term of the model, and packing by terms: of all frames of some tracks, or one at a time."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from functools import cached_property
-from typing import ClassVar, Literal
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, Literal
+
+import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import Field, Kernel
-from graphtrack.model.factors import derived_factors
-from graphtrack.model.observation import Observation, States, Step
-from graphtrack.model.packing import FramePacker, PackedTracks, RecordTypes
+from graphtrack.kernels.layout import DT, Field, Kernel, record_type
+from graphtrack.model.factors import Couplings, kernel_factors
+from graphtrack.model.observation import CHANNELS, Observation, States, Step
+from graphtrack.model.packing import PackedTracks, RecordTypes
 from graphtrack.model.parameters import Parameters
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
@@ -56,7 +58,14 @@ class Term(ABC):
 
         By default they are derived from the kernels.
         """
-        return derived_factors(self, step)
+        return self.derived_factors(step)
+
+    def derived_factors(
+        self, step: Step, couplings: Couplings | None = None
+    ) -> Sequence[gtsam.NonlinearFactor]:
+        """One factor for each live kernel; ``couplings`` set the fields that the coupling modes set."""
+        packed = self.packer(step.observation, step.dt, step.starts, step.camera)
+        return kernel_factors(self.kernels, packed, self.packer.live(step.observation), step, couplings)
 
     def pack(self, packed: PackedTracks) -> None:
         """Fill in the records' `fields`, and `shared`. Records are zero before."""
@@ -84,7 +93,7 @@ class Term(ABC):
     @cached_property
     def packer(self) -> FramePacker:
         """Packer of single frames: for this term alone, unless a model has a joint packer for its terms."""
-        return FramePacker((self,), RecordTypes.of((self,)))
+        return FramePacker((self,), types_of((self,)))
 
     def states(self, name: str) -> bool:
         """Return True if the class itself defines ``name``: a parent's definition may not hold for it."""
@@ -99,3 +108,89 @@ class Term(ABC):
     def is_compiled(self) -> bool:
         """Return True if the chain engine can solve the term: it defines its kernels."""
         return self.states("kernels")
+
+
+def types_of(terms: Sequence[Term]) -> RecordTypes:
+    """Types with the fields of some terms only."""
+    frame = record_type((DT, *(field for term in terms for field in term.fields)))
+    return RecordTypes(frame, record_type(field for term in terms for field in term.shared))
+
+
+def filled(packed: PackedTracks, terms: Iterable[Term]) -> PackedTracks:
+    """Packed tracks, once some terms have filled in their records."""
+    for term in terms:
+        term.pack(packed)
+    return packed
+
+
+_KINDS = 256  # Size of the cache of packed frames
+
+
+class FramePacker:
+    """Frames packed one at a time, with a cache by kind.
+
+    The kind is the set of observed channels, their declared noise, and the time since the previous frame. A
+    frame with inputs, pixels or class likelihoods has no kind, and is kept until the next frame.
+    """
+
+    def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
+        self._terms, self.types = terms, types
+        self._repeats = all(term.states("repeats") and term.repeats for term in terms)
+        # Most terms have no live fields; calling them all takes longer than writing the live fields.
+        self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
+        self._known: dict[tuple[object, ...], PackedTracks] = {}
+        self._latest: tuple[tuple[object, ...], Any] = (), None
+
+    def __call__(
+        self, observation: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        """A packed frame of this kind; its `live` fields are arbitrary."""
+        # Time steps differ by rounding; the record gets its own dt where it matters.
+        seconds = 0.0 if dt is None else round(dt, 14)
+        simple = (
+            observation.pixel is None
+            and observation.body_likelihood is None
+            and observation.head_likelihood is None
+        )
+        if not (simple and self._repeats) or observation.inputs:
+            kind, packed = self._latest
+            if kind != (observation, seconds, starts, camera):
+                packed = self._packed(observation, seconds, starts, camera)
+                self._latest = (observation, seconds, starts, camera), packed
+            return packed
+        kind = (
+            seconds,
+            starts,
+            observation.position_std,
+            observation.body_kappa,
+            observation.head_kappa,
+            observation.position is None,
+            observation.body is None,
+            observation.head is None,
+        )
+        known = self._known.get(kind)
+        if known is None:
+            if len(self._known) == _KINDS:
+                self._known.clear()
+            known = self._known[kind] = self._packed(observation, seconds, starts, camera)
+        return known
+
+    def live(self, observation: Observation) -> list[tuple[str, float]]:
+        """Fields, with their values, that differ between frames of a kind."""
+        return [field for live in self._live for field in live(observation)]
+
+    def _packed(
+        self, observation: Observation, dt: float, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        packed = PackedTracks.within(_track_of(observation), camera, dt, starts, self.types)
+        return filled(packed, self._terms)
+
+
+@lru_cache(4)
+def _track_of(observation: Observation) -> Track:
+    """An observation as a track: once for all terms that are packed separately."""
+    given = {name: getattr(observation, name) for name in CHANNELS}
+    position = given.pop("position") or (np.nan, np.nan)
+    channels: dict[str, Any] = {name: np.array([value]) for name, value in given.items() if value is not None}
+    inputs = {name: np.array([value]) for name, value in observation.inputs.items()}
+    return Track(0, np.array([0]), np.array([observation.t]), np.array([position]), inputs=inputs, **channels)

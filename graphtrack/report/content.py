@@ -27,14 +27,14 @@ def records(
     Raises
     ------
     InputError
-        Without rows, for a missing column or an invalid number.
+        Without rows that have numbers, for a missing column or an invalid number.
     """
     rows: list[Mapping[str, Any]] = (
         table.to_dict(orient="records") if hasattr(table, "to_dict") else list(table)  # type: ignore[assignment]
     )
     wanted = [*columns, *numbers]
-    if not rows:
-        raise InputError("no rows", "at least one row" + (f" with {', '.join(wanted)}" if wanted else ""))
+    if not rows and wanted:
+        raise InputError("no rows", f"at least one row with {', '.join(wanted)}")
     for i, row in enumerate(rows):
         for column in wanted:
             if column not in row:
@@ -96,32 +96,31 @@ class DataTable:
     person_column: str | None = None
 
     @classmethod
-    def from_records(cls, title: str, table: Records, *, note: str = "") -> DataTable:
-        """Return a table of a DataFrame or a list of dict, in the order of the first row's columns.
+    def of(
+        cls,
+        title: str,
+        table: Records,
+        note: str = "",
+        *,
+        person_column: str | None = None,
+        most: int | None = MAX_ROWS,
+    ) -> DataTable:
+        """Return a table of a DataFrame or dictionaries, with the columns of the first row.
+
+        Of more than ``most`` lines the first are shown, and the note has their number.
 
         Raises
         ------
         InputError
-            Without rows, or if a row lacks a column of the first.
+            If a row lacks a column of the first.
         """
         rows = records(table)
-        columns = [str(column) for column in rows[0]]
+        columns = [str(column) for column in rows[0]] if rows else []
         rows = records(rows, columns)
-        return cls(title, tuple(columns), tuple(tuple(row[c] for c in columns) for row in rows), note)
-
-    @classmethod
-    def capped(
-        cls,
-        title: str,
-        columns: tuple[str, ...],
-        rows: tuple[tuple[Any, ...], ...],
-        note: str = "",
-        person_column: str | None = None,
-    ) -> DataTable:
-        """Return a table of at most `MAX_ROWS` lines, with the total number in its note."""
-        if len(rows) > MAX_ROWS:
-            note = f"{note} The first {MAX_ROWS} of {len(rows)} lines.".strip()
-        return cls(title, columns, rows[:MAX_ROWS], note, person_column)
+        if most is not None and len(rows) > most:
+            note = f"{note} The first {most} of {len(rows)} lines.".strip()
+        cells = tuple(tuple(row[c] for c in columns) for row in rows[:most])
+        return cls(title, tuple(columns), cells, note, person_column)
 
 
 @dataclass(frozen=True, eq=False)

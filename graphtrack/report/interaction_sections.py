@@ -74,24 +74,23 @@ def _groups_section(groups: Groups) -> Section:
     if len(spans) > MOST_GROUPS:
         words += f". The {MOST_GROUPS} of {len(spans)} with most person-seconds"
     picture = Picture(words, plot_group_timeline(groups, spans), f"Time spans of {len(spans)} groups.")
-    columns = ("group", "kind", "from (s)", "to (s)", "members at a time", "who", "probability")
-    rows = tuple(
-        (
-            span.number,
-            KINDS[span.kind],
-            span.start,
-            span.end,
-            round(span.mean, 1),
-            _listed([str(one) for one in span.members]),
-            round(span.probability, 2),
-        )
+    rows = [
+        {
+            "group": span.number,
+            "kind": KINDS[span.kind],
+            "from (s)": span.start,
+            "to (s)": span.end,
+            "members at a time": round(span.mean, 1),
+            "who": _listed([str(one) for one in span.members]),
+            "probability": round(span.probability, 2),
+        }
         for span in spans
-    )
+    ]
     note = (
         "A group keeps its number while most of its members stay. Who: all members over time, longest "
         "membership first. Probability: mean membership probability."
     )
-    return Section("Groups", (picture, DataTable.capped("All groups", columns, rows, note)))
+    return Section("Groups", (picture, DataTable.of("All groups", rows, note)))
 
 
 def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
@@ -129,28 +128,29 @@ def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: 
 
 
 def _dwell(summary: LookSummary) -> list[DataTable]:
-    if not summary.dwell:
-        return []
-    rows = [
-        (
-            person,
-            place,
-            round(seconds, 1),
-            round(100.0 * seconds / max(float(summary.matrix[summary.people.index(person)].sum()), 1e-9), 1),
-            len(intervals),
-            _listed([f"{start:.1f}–{end:.1f}" for start, end in intervals]) or "–",
-        )
+    rows: list[dict[str, Any]] = [
+        {
+            "person": person,
+            "place": place,
+            "seconds": round(seconds, 1),
+            "of the time (%)": round(
+                100.0 * seconds / max(float(summary.matrix[summary.people.index(person)].sum()), 1e-9), 1
+            ),
+            "looks": len(intervals),
+            "likelier than not (s)": _listed([f"{start:.1f}–{end:.1f}" for start, end in intervals]) or "–",
+        }
         for place, people in summary.dwell.items()
         for person, (seconds, intervals) in people.items()
         if seconds >= 0.05
     ]
-    rows.sort(key=lambda row: (row[1], -row[2]))
-    columns = ("person", "place", "seconds", "of the time (%)", "looks", "likelier than not (s)")
+    if not rows:
+        return []
+    rows.sort(key=lambda row: (row["place"], -row["seconds"]))
     note = (
         "Seconds are expected values, the sum of probabilities; looks and their intervals are the times in "
         "which the probability of gaze at the place exceeds one half."
     )
-    return [DataTable.capped("Dwell times of places", columns, tuple(rows), note, "person")]
+    return [DataTable.of("Dwell times of places", rows, note, person_column="person")]
 
 
 def _persons(summary: LookSummary) -> DataTable:
@@ -158,52 +158,56 @@ def _persons(summary: LookSummary) -> DataTable:
     for k, person in enumerate(summary.people):
         spent = summary.matrix[k]
         best = int(np.argmax(spent[:-1]))
-        most = (summary.targets[best], round(float(spent[best]), 1)) if spent[best] > 0.0 else (None, None)
-        by = float(summary.matrix[:, k].sum())
-        nothing = 100.0 * float(spent[-1]) / max(float(spent.sum()), 1e-9)
-        rows.append((person, *most, round(nothing, 1), round(by, 1)))
-    columns = ("person", "looks most at", "for (s)", "at nothing (%)", "looked at by others (s)")
-    return DataTable.capped("Gaze of each person", columns, tuple(rows), "", "person")
+        target, seconds = summary.targets[best], round(float(spent[best]), 1)
+        rows.append(
+            {
+                "person": person,
+                "looks most at": target if spent[best] > 0.0 else None,
+                "for (s)": seconds if spent[best] > 0.0 else None,
+                "at nothing (%)": round(100.0 * float(spent[-1]) / max(float(spent.sum()), 1e-9), 1),
+                "looked at by others (s)": round(float(summary.matrix[:, k].sum()), 1),
+            }
+        )
+    return DataTable.of("Gaze of each person", rows, person_column="person")
 
 
 def _mutual(summary: LookSummary) -> list[DataTable]:
-    pairs = sorted(summary.mutual.items(), key=lambda item: -item[1])
-    rows = tuple((a, b, round(seconds, 1)) for (a, b), seconds in pairs if seconds >= 0.05)
-    if not rows:
-        return []
-    columns = ("person", "and", "seconds")
-    return [DataTable.capped("Mutual gaze, longest first", columns, rows, "", "person")]
+    rows = [
+        {"person": a, "and": b, "seconds": round(seconds, 1)}
+        for (a, b), seconds in sorted(summary.mutual.items(), key=lambda item: -item[1])
+        if seconds >= 0.05
+    ]
+    return [DataTable.of("Mutual gaze, longest first", rows, person_column="person")] if rows else []
 
 
 def _forecast_section(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> Section:
     error = _errors(columns, pairs)
-    rows = []
-    for ahead in np.unique(np.round(columns["ahead"], 6)).tolist():
-        at = np.round(columns["ahead"], 6) == ahead
+    times, rows = np.round(columns["ahead"], 6), []
+    for ahead in np.unique(times).tolist():
+        at = times == ahead
         known = at & np.isfinite(error)
-        inside = [
-            round(100.0 * float(np.mean(error[known] <= columns[name][known])), 1) if known.any() else None
-            for name in ("radius_50", "radius_90")
-        ]
-        rows.append(
-            (
-                ahead,
-                int(at.sum()),
-                *(round(float(np.median(columns[name][at])), 3) for name in ("radius_50", "radius_90")),
-                int(known.sum()),
-                round(float(error[known].mean()), 3) if known.any() else None,
-                *inside,
-            )
-        )
-    names: tuple[str, ...] = ("ahead (s)", "forecasts", "50 % radius (m)", "90 % radius (m)")
-    names += ("judged", "error (m)", "inside 50 % (%)", "inside 90 % (%)")
+        row: dict[str, float | None] = {"ahead (s)": ahead, "forecasts": int(at.sum())}
+        for share in (50, 90):
+            row[f"{share} % radius (m)"] = round(float(np.median(columns[f"radius_{share}"][at])), 3)
+        row |= {
+            "judged": int(known.sum()),
+            "error (m)": None,
+            "inside 50 % (%)": None,
+            "inside 90 % (%)": None,
+        }
+        if known.any():
+            row["error (m)"] = round(float(error[known].mean()), 3)
+            for share in (50, 90):
+                inside = error[known] <= columns[f"radius_{share}"][known]
+                row[f"inside {share} % (%)"] = round(100.0 * float(inside.mean()), 1)
+        rows.append(row)
     true = any(np.isfinite(pair.true_position).any() for pair in pairs)
     note = (
         "Radii are medians. Forecasts are scored where the person's later position is known: "
         + ("by the true positions." if true else "by the positions of the tracks.")
         + " 'graphtrack score' gives all scores."
     )
-    return Section("Forecasts", (DataTable("Forecasts by time ahead", names, tuple(rows), note),))
+    return Section("Forecasts", (DataTable.of("Forecasts by time ahead", rows, note),))
 
 
 def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> FloatArray:

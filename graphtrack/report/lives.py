@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -295,65 +296,69 @@ def _gaps(t: FloatArray, was_observed: NDArray[np.bool_], sure: FloatArray | Non
 
 
 def _lives_table(lives: Sequence[Life], events: Sequence[IdentityEvent]) -> DataTable:
-    switches: dict[int, int] = {}
-    for one in events:
-        for track in {one.before, one.after} if one.switch else ():
-            switches[track] = switches.get(track, 0) + 1
-    columns: tuple[str, ...] = ("person", "born (s)", "died (s)", "gaps", "longest gap (s)")
-    columns += ("least sure link", "unsure links")
-    rows = tuple(
-        (
-            life.person,
-            life.birth,
-            life.death,
-            len(life.gaps),
-            max((gap.end - gap.start for gap in life.gaps), default=None),
-            round(life.least, 3),
-            life.unsure,
-            *((switches.get(life.person, 0),) if events else ()),
-        )
+    switches = Counter(track for one in events if one.switch for track in {one.before, one.after})
+    rows = [
+        {
+            "person": life.person,
+            "born (s)": life.birth,
+            "died (s)": life.death,
+            "gaps": len(life.gaps),
+            "longest gap (s)": max((gap.end - gap.start for gap in life.gaps), default=None),
+            "least sure link": round(life.least, 3),
+            "unsure links": life.unsure,
+            **({"switches": switches[life.person]} if events else {}),
+        }
         for life in lives
-    )
+    ]
     note = (
         "Born and died: first and last row. The certainty of a link is the probability that a row is "
         f"of the same person as the row before; unsure below {UNSURE:g}."
     )
     if events:
-        columns = (*columns, "switches")
         note += " Switches: identity switches from or to this track."
-    return DataTable.capped("Births and deaths", columns, rows, note, "person")
+    return DataTable.of("Births and deaths", rows, note, person_column="person")
 
 
 def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
-    rows = [
-        (
-            life.person,
-            gap.start,
-            gap.end,
-            gap.end - gap.start,
-            gap.filled,
-            round(gap.probability, 3) if gap.joined else None,
-        )
+    rows: list[dict[str, Any]] = [
+        {
+            "person": life.person,
+            "from (s)": gap.start,
+            "to (s)": gap.end,
+            "seconds": gap.end - gap.start,
+            "filled in": gap.filled,
+            "joined, how sure": round(gap.probability, 3) if gap.joined else None,
+        }
         for life in lives
         for gap in life.gaps
     ]
     if not rows:
         return []
-    # Uncertain joins first, unknown probabilities last.
-    rows.sort(key=lambda row: (row[-1] is None or np.isnan(row[-1]), row[-1], row[1]))
-    columns = ("person", "from (s)", "to (s)", "seconds", "filled in", "joined, how sure")
+
+    def doubt(row: Mapping[str, Any]) -> tuple[bool, float, float]:
+        """Order uncertain joins first, unknown probabilities last."""
+        sure = row["joined, how sure"]
+        unknown = sure is None or np.isnan(sure)
+        return unknown, 0.0 if unknown else sure, row["from (s)"]
+
     note = (
         "From the last observation of a person to the next, least certain first. A dash: no later "
         "observation, or the probability is unknown."
     )
-    return [DataTable.capped("Gaps and joins", columns, tuple(rows), note, "person")]
+    return [DataTable.of("Gaps and joins", sorted(rows, key=doubt), note, person_column="person")]
 
 
 def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> DataTable:
-    rows = tuple(
-        (one.after, t, one.person, one.before, one.switch, one.found_again)
+    rows = [
+        {
+            "person": one.after,
+            "at (s)": t,
+            "who it is in the truth": one.person,
+            "tracked before as": one.before,
+            "switch": one.switch,
+            "found again": one.found_again,
+        }
         for one, t in zip(events, event_times(pairs, events), strict=True)
-    )
-    columns = ("person", "at (s)", "who it is in the truth", "tracked before as", "switch", "found again")
+    ]
     note = "Found again: matched after a loss, which ends a fragmentation. The score counts both kinds."
-    return DataTable.capped("Switches and fragmentations", columns, rows, note, "person")
+    return DataTable.of("Switches and fragmentations", rows, note, person_column="person")

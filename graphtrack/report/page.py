@@ -156,22 +156,23 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
                 **line,
             }
         )
-    columns = [
-        c for c in (table[0] if table else {"person": 0}) if any(row[c] not in (None, "") for row in table)
-    ]
+    known = [c for c in (table[0] if table else ()) if any(row[c] not in (None, "") for row in table)]
     note = (
         "Uncertainties are medians over the frames; the 95 % radius is the longer half-axis of the ellipse."
     )
-    rows = tuple(tuple(row[c] for c in columns) for row in table)
-    return DataTable("Results of each person", tuple(columns), rows, note, person_column="person")
+    rows = [{c: row[c] for c in known} for row in table]
+    return DataTable.of("Results of each person", rows, note, person_column="person", most=None)
 
 
 def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
     """Return the reading summary: rows read, used and refused, reasons, and assumptions."""
-    rows: list[tuple[str, int]] = [("read", summary.rows_read), ("used", summary.rows_used)]
-    rows += [(f"refused: {reason}", count) for reason, count in summary.refused.items()]
-    table = DataTable(f"Rows of the input ({summary.format})", ("rows", "number"), tuple(rows))
-    return (table, *(Note(note) for note in summary.notes))
+    counts = {"read": summary.rows_read, "used": summary.rows_used}
+    counts |= {f"refused: {reason}": count for reason, count in summary.refused.items()}
+    rows = [{"rows": name, "number": count} for name, count in counts.items()]
+    return (
+        DataTable.of(f"Rows of the input ({summary.format})", rows),
+        *(Note(note) for note in summary.notes),
+    )
 
 
 def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, float]:
@@ -202,7 +203,7 @@ def _methods_section(comparison: Records | None, calibration: Records | None) ->
     items: list[DataTable | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
-        table = DataTable.from_records("Comparison of methods", comparison)
+        table = DataTable.of("Comparison of methods", comparison)
         items += [Picture(words, plot_errors(comparison)), table]
     if calibration is not None:
         words = "Reliability: observed coverage of intervals against their nominal probability"
@@ -210,7 +211,7 @@ def _methods_section(comparison: Records | None, calibration: Records | None) ->
             {k: v for k, v in row.items() if k not in ("confidence", "coverage")}
             for row in records(calibration)
         ]
-        items += [Picture(words, plot_reliability(calibration)), DataTable.from_records("Reliability", rows)]
+        items += [Picture(words, plot_reliability(calibration)), DataTable.of("Reliability", rows)]
     return Section("Methods", tuple(items))
 
 

@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.associate import with_every_frame, with_identities
-from graphtrack.association.candidates import match
+from graphtrack.association.matching import match
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.options import ReadOptions
-from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
+from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset, rows_of_block
 from graphtrack.scale.workers import on_cluster
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.schema import in_order
-from graphtrack.tracks.table import from_columns
 from graphtrack.tracks.track import TrackSet, to_columns
 
 IntArray = NDArray[np.int64]
@@ -59,7 +58,7 @@ class Associated:
     columns : of the native table, with numbers of its own for people
     row : (n,) of each in the data set; −1: of no detection
     begin, end : as in `Block`
-    n_rows : detections that went in
+    n_rows : detections from ``begin`` up to ``end``
     """
 
     columns: dict[str, NDArray[Any]]
@@ -115,20 +114,24 @@ def associate_dataset(
     if block_rows < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"block_rows = {block_rows}, jobs = {jobs}", "numbers from 1")
     columns = tuple(name for name in dataset.columns if name not in ("track_id", "label"))
-    missing = [name for name in ("frame", "t", "x", "y") if name not in columns]
-    if missing:
-        raise dataset.fail(
-            f"no column {missing[0]}", "frame, t, x and y of each detection", column=missing[0]
-        )
     options = ReadOptions() if read_options is None else read_options
+    wanted = ("frame", "x", "y") if options.fps else ("frame", "t", "x", "y")
+    missing = next((name for name in wanted if name not in columns), None)
+    if missing is not None:
+        expected = "frame, t (or a frame rate), x and y of each detection"
+        raise dataset.fail(f"no column {missing}", expected, column=missing)
     overlap = LEAST_OVERLAP * SceneParameters(**known).longest_gap
-    given = time_blocks(dataset, columns, block_rows, overlap)
+    given = time_blocks(dataset, columns, block_rows, overlap, options.fps)
     work = partial(associate_block, dataset.path, columns, known, options)
     found = map(work, given) if cluster is None else on_cluster(work, given, cluster, jobs)
     possible = in_order({*columns, "track_id", "pos_std", "identity_p", "observed"})
     people = detections = blocks = 0
     earlier: tuple[IntArray, IntArray] | None = None
-    with atomic_path(output) as temporary, ShardWriter(temporary, possible, dataset.names) as writer:
+    with (
+        dataset.located(),
+        atomic_path(output) as temporary,
+        ShardWriter(temporary, possible, dataset.names) as writer,
+    ):
         for block in found:
             names, people = continued(block, earlier, people)
             t = block.columns["t"]
@@ -145,20 +148,23 @@ def associate_dataset(
 
 
 def time_blocks(
-    dataset: Dataset, columns: tuple[str, ...], block_rows: int, overlap: float
+    dataset: Dataset, columns: tuple[str, ...], block_rows: int, overlap: float, fps: float | None
 ) -> Iterator[Block]:
     """Whole frames in the order of time, in blocks that overlap by some seconds.
 
     Raise InputError with the row, where times do not increase.
+
+    ``fps``: frame rate, where there is no column ``t``
     """
-    place = columns.index("t")
+    name, unit = ("frame", 1.0 / fps) if "t" not in columns and fps else ("t", 1.0)
+    place, overlap = columns.index(name), overlap / unit
     parts: list[FloatArray] = []
     have, begin, last = 0, -np.inf, -np.inf
     for part in dataset.blocks(columns):
         back = np.flatnonzero(np.diff(part[:, place], prepend=last) < 0.0)
         if len(back):
             row = part[back[0]]
-            raise dataset.fail(f"t = {row[place]:g}", "rows in the order of time", int(row[-1]), "t")
+            raise dataset.fail(f"{name} = {row[place]:g}", "rows in the order of time", int(row[-1]), name)
         last = float(part[-1, place])
         parts.append(part)
         have += len(part)
@@ -169,25 +175,18 @@ def time_blocks(
         # The newest frame may go on in what is read next.
         if last - max(begin, float(rows[0, place])) > 2.0 * overlap:
             end = last - 0.5 * overlap
-            yield Block(rows[rows[:, place] < last], begin, end)
+            yield Block(rows[rows[:, place] < last], begin * unit, end * unit)
             begin = end
             parts = [rows[rows[:, place] >= last - overlap]]
             have = 0
-    yield Block(np.concatenate(parts), begin, np.inf)
+    yield Block(np.concatenate(parts), begin * unit, np.inf)
 
 
 def associate_block(
     path: Path, columns: tuple[str, ...], known: Known, options: ReadOptions, block: Block
 ) -> Associated:
     """Associate the detections of a block; it runs on any worker."""
-    number = block.rows[:, -1].astype(np.int64)
-    native = from_columns(
-        {name: block.rows[:, k] for k, name in enumerate(columns)},
-        path=path,
-        format="parquet",
-        fps=options.fps,
-        line_of=lambda row: int(number[row]) + 1,
-    )
+    native = rows_of_block(path, columns, block.rows, options.fps, {})
     rows = with_identities(native, known)
     tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
     found = to_columns(tracks)
@@ -198,7 +197,9 @@ def associate_block(
     place = order[np.minimum(np.searchsorted(keys[order], wanted), len(order) - 1)]
     lines = np.array([rows.line_of(i) - 1 for i in range(len(rows))])
     row = np.where(keys[place] == wanted, lines[place], -1)
-    return Associated(found, row, block.begin, block.end, int((native.channels["t"] < block.end).sum()))
+    t = native.channels["t"]
+    own = int(((t >= block.begin) & (t < block.end)).sum())
+    return Associated(found, row, block.begin, block.end, own)
 
 
 def continued(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.column_names import with_synonyms
-from graphtrack.io.formats.native import ROW_GROUP, arrow_errors, column_values
+from graphtrack.io.formats.native import ROW_GROUP, arrow_errors
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.text import parse_number
+from graphtrack.tracks.cells import Cells, Layout, cells_of_arrow, labels, numbers, rows_of_cells
 from graphtrack.tracks.schema import INTEGERS, in_order, is_column, unknown
+from graphtrack.tracks.table import Rows
 
 BLOCK = 65_536
 """Rows read at a time."""
@@ -112,11 +115,11 @@ class Dataset:
                         return
                     batch.validate(full=True)
                 n = len(batch)
+                cells = cells_of_arrow(batch.schema, batch.column, file.path, "parquet", row)
                 block = np.full((n, len(columns) + 1), np.nan)
                 for place, name in enumerate(columns):
                     if name in file.columns:
-                        values = column_values(batch.column(file.columns[name]), name, file.path, row)
-                        block[:, place] = list(map(self._code, values)) if name == "label" else values
+                        block[:, place] = self._numbers(cells, name, file.columns[name])
                     elif name in file.constants:
                         value = file.constants[name]
                         block[:, place] = self._code(value) if isinstance(value, str) else value
@@ -125,6 +128,16 @@ class Dataset:
                 block[:, -1] = file.first_row + row + np.arange(n)
                 row += n
                 yield block
+
+    def _numbers(self, cells: Cells, name: str, own: str) -> FloatArray | list[int]:
+        """Return a column of a batch; ``own`` is its name in the file."""
+        if name == "label":
+            return list(map(self._code, labels(cells, own)))
+        try:
+            return numbers(cells, own)
+        except InputError as error:
+            hint = "--no-stream reads dates and times" if name == "t" and error.line is None else ""
+            raise error.at(hint=hint) from error
 
     def _code(self, label: object) -> int:
         if not isinstance(label, str):
@@ -142,6 +155,16 @@ class Dataset:
             return InputError(found, expected, path=self.path, column=column)
         file = next(file for file in reversed(self.files) if file.first_row <= row)
         return InputError(found, expected, path=file.path, line=row - file.first_row + 1, column=column)
+
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Replace the row of the data set in errors of the block by the file and the row in it."""
+        try:
+            yield
+        except InputError as error:
+            if error.path != str(self.path) or error.line is None:
+                raise
+            raise self.fail(error.found, error.expected, error.line - 1, error.column) from error
 
 
 def open_dataset(path: str | Path) -> Dataset:
@@ -179,6 +202,25 @@ def open_dataset(path: str | Path) -> Dataset:
     ]
     ignored = tuple(name for name in further if name not in own)
     return Dataset(path, tuple(files), in_order(known | {*names}), ignored, names, notes)
+
+
+def rows_of_block(
+    path: Path, columns: Sequence[str], block: FloatArray, fps: float | None, texts: Mapping[int, str]
+) -> Rows:
+    """Return a matrix of `Dataset.blocks` as rows, checked cell by cell.
+
+    Parameters
+    ----------
+    path : of the data set, for messages
+    columns : names of its columns other than the last
+    fps : frames a second, for rows without times
+    texts : number in the column ``label`` → label
+    """
+    cells = {name: block[:, place] for place, name in enumerate(columns)}
+    if "label" in cells:
+        cells["label"] = np.array([texts[code] for code in cells["label"]], dtype=object)
+    table = Cells(path, "parquet", cells, lambda row: int(block[row, -1]) + 1)
+    return rows_of_cells(table, Layout(), fps=fps, strict=True)
 
 
 def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -14,9 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.batch import is_large
-from graphtrack.inference.engines import engine_of
-from graphtrack.inference.result import OfflineEngine
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference.engines import OfflineEngine, engine_of, make_solver_ready
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
@@ -163,22 +161,18 @@ def _write(
     failures: list[Failure] = []
     unconverged: list[tuple[int, int]] = []
     printed = dict.fromkeys((*dataset.notes, *notes))
-    with ShardWriter(path, possible_columns(dataset, work.model), dataset.names) as writer:
-        try:
-            for shard in shards:
-                writer.add(shard.columns)
-                n_tracks += shard.n_tracks
-                n_sorted += shard.n_sorted
-                speeds += shard.speeds
-                failures += shard.failures
-                unconverged += shard.unconverged
-                printed |= dict.fromkeys(shard.notes)
-                if progress is not None:
-                    progress(shard.n_rows)
-        except InputError as error:
-            if error.path != str(dataset.path) or error.line is None:
-                raise
-            raise dataset.fail(error.found, error.expected, error.line - 1, error.column) from error
+    columns = possible_columns(dataset, work.model)
+    with ShardWriter(path, columns, dataset.names) as writer, dataset.located():
+        for shard in shards:
+            writer.add(shard.columns)
+            n_tracks += shard.n_tracks
+            n_sorted += shard.n_sorted
+            speeds += shard.speeds
+            failures += shard.failures
+            unconverged += shard.unconverged
+            printed |= dict.fromkeys(shard.notes)
+            if progress is not None:
+                progress(shard.n_rows)
     if not n_tracks:
         wanted = " or ".join(work.select)
         raise InputError(f"no track that matches {wanted}", "a label or id that is there", path=dataset.path)

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.result import Failure, OfflineEngine, Solution, SolverOptions
+from graphtrack.inference.engines import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model
 from graphtrack.packages import package
+from graphtrack.scale.dataset import rows_of_block
 from graphtrack.smoothing import solve_tracks
-from graphtrack.tracks.table import from_columns
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import Speeds
 
@@ -108,19 +108,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     if here != work.version:
         raise InputError(f"graphtrack {here} on a worker", f"{work.version}, as where the job was started")
     rows, n_sorted = _in_order(batch.rows)
-    columns: dict[str, NDArray[Any]] = {}
-    for place, name in enumerate(work.columns):
-        columns[name] = rows[:, place]
-    if "label" in columns:
-        columns["label"] = np.array([batch.labels[code] for code in columns["label"]], dtype=object)
-    number = rows[:, -1]
-    native = from_columns(
-        columns,
-        path=work.path,
-        format="parquet",
-        fps=work.read_options.fps,
-        line_of=lambda row: int(number[row]) + 1,
-    )
+    native = rows_of_block(work.path, work.columns, rows, work.read_options.fps, batch.labels)
     tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
     speeds = tracks.speeds
     if work.select:

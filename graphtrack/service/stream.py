@@ -151,7 +151,8 @@ def nothing() -> None:
 
 def prepare(service: Service) -> None:
     """Start the processes' parent with all code loaded; compile missing code."""
-    os.environ[WARM] = json.dumps(service.answers.model.to_dict())
+    answers = service.answers
+    os.environ[WARM] = json.dumps({"model": answers.model.to_dict(), "walls": answers.walkable is not None})
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are the parallel units
     if FORKED:
         PROCESSES.set_forkserver_preload([work.__module__])

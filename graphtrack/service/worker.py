@@ -21,7 +21,8 @@ from typing import Any
 
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.model import Model
-from graphtrack.streaming.saved_state import Answering
+from graphtrack.model.terms.walls import StaysInside
+from graphtrack.streaming.protocol import Answering
 from graphtrack.streaming.session import Answers, Listener, track_stream
 
 DONE, ASIDE = b"#", b"!"
@@ -31,7 +32,7 @@ PIECE = 1 << 16
 """Bytes in one read."""
 
 WARM = "GRAPHTRACK_SERVE_MODEL"
-"""Environment variable with the model whose code the processes' parent loads in advance."""
+"""Environment variable with the model, and the use of walls, for which the parent loads code in advance."""
 
 _HELD = 0.01
 """Seconds after which answers are sent although more rows are ready."""
@@ -125,7 +126,7 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
     except GraphtrackError as error:
         if isinstance(error, InputError) and state is not None and error.path == str(state):
             place = f"state of stream {state.stem}"  # do not reveal the path to clients
-            error = InputError(error.found, error.expected, path=place, line=error.line)
+            error = error.at(place)
         with suppress(OSError):  # the client may have left
             aside({"error": str(error)})
         sys.exit(1)
@@ -134,7 +135,9 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
 
 
 if WARM in os.environ:  # in the parent of the processes, once
-    Answers(Model.from_dict(json.loads(os.environ[WARM]))).warm_up()
+    _given = json.loads(os.environ[WARM])
+    _model = Model.from_dict(_given["model"])
+    Answers(_model.with_terms(StaysInside) if _given["walls"] else _model).warm_up()
     # Objects loaded so far are shared by all streams until one writes to them, as garbage collection would.
     gc.collect()
     gc.freeze()

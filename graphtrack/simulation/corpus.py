@@ -14,6 +14,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import check_numbers, number
 
 NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
 """Behaviours as numbered by Baxter et al. (2014): i is straight, ii–vii avoid an obstacle."""
@@ -39,30 +40,22 @@ class CorpusParameters:
     passing_steps : steps alongside the obstacle
     """
 
-    tracks: int = 500
-    steps: int = 200
-    speed: float = 0.3
-    step_seconds: float = 0.25
-    path_std: float = 0.1
-    observation_std: float = 0.5
-    head_offset: float = float(np.radians(4.0))
-    head_std: float = float(np.radians(20.0))
-    look_ahead: int = 5
+    tracks: int = number(500, 1, 1e9)
+    steps: int = number(200, 1, 1e9)
+    speed: float = number(0.3, 1e-6, 1e6, "m")
+    step_seconds: float = number(0.25, 1e-6, 1e6, "s")
+    path_std: float = number(0.1, 0.0, 1e6, "m")
+    observation_std: float = number(0.5, 0.0, 1e6, "m")
+    head_offset: float = number(float(np.radians(4.0)), -np.pi, np.pi, "rad")
+    head_std: float = number(float(np.radians(20.0)), 0.0, 1e6, "rad")
+    look_ahead: int = number(5, 1, 1e9)
     turn_angles: tuple[float, ...] = tuple(np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist())
     turn_steps: tuple[int, ...] = (20, 16, 12, 8, 5, 3)
-    aside_steps: int = 12
-    passing_steps: int = 10
+    aside_steps: int = number(12, 0, 1e9)
+    passing_steps: int = number(10, 0, 1e9)
 
     def __post_init__(self) -> None:
-        for name in ("tracks", "steps", "look_ahead"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)!r}", "an integer, at least 1")
-        for name in ("aside_steps", "passing_steps", "path_std", "observation_std", "head_std"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"{name} = {getattr(self, name)!r}", "a finite number, at least 0")
-        for name in ("speed", "step_seconds"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"{name} = {getattr(self, name)!r}", "a positive number")
+        check_numbers(self)
         if len(self.turn_angles) != len(NUMERALS) - 1 or len(self.turn_steps) != len(NUMERALS) - 1:
             raise InputError(
                 f"{len(self.turn_angles)} turn_angles and {len(self.turn_steps)} turn_steps", "6 of each"

@@ -17,7 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
-from graphtrack.tracks.validation import check_numbers, number
+from graphtrack.tracks.validation import check_numbers, check_within, number
 
 _GRID = 0.1  # step of the walks in seconds
 
@@ -207,8 +207,7 @@ def strollers(
     """
     if people < 1 or not (np.isfinite(seconds * fps) and seconds > 0.0 and fps > 0.0):
         raise InputError(f"{people} people, {seconds!r} s at {fps!r} Hz", "positive numbers")
-    if not 0.0 <= turned <= 1.0:
-        raise InputError(f"turned = {turned!r}", "a share from 0 to 1")
+    check_within(0.0, 1.0, turned=turned)
     habits = StrollerParameters() if parameters is None else parameters
     truth = TrackSet(tuple(_stroll(k + 1, habits, seconds, fps, rng) for k in range(people)))
     body_kappa, head_kappa = (None if std is None else 1.0 / std**2 for std in (body_std, head_std))

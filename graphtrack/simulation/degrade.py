@@ -12,6 +12,13 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction, wrap
 from graphtrack.io.read_write import tracks_given
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
+from graphtrack.tracks.validation import (
+    LARGEST_CONCENTRATION,
+    LARGEST_METRES,
+    LARGEST_SECONDS,
+    SMALLEST,
+    check_within,
+)
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -56,10 +63,8 @@ def add_noise(
     InputError
         For a negative or non-finite amount of noise.
     """
-    amounts = {"position_std": position_std, "body_kappa": body_kappa, "head_kappa": head_kappa}
-    for name, value in amounts.items():
-        if value is not None and not (np.isfinite(value) and value >= 0.0):
-            raise InputError(f"{name} = {value!r}", "a finite number, at least 0")
+    check_within(0.0, LARGEST_METRES, position_std=position_std)
+    check_within(0.0, LARGEST_CONCENTRATION, body_kappa=body_kappa, head_kappa=head_kappa)
     kappas = {"body": body_kappa, "head": head_kappa}
     return tracks_given(tracks).map(lambda track: _noisy(track, position_std, kappas, rng))
 
@@ -126,11 +131,8 @@ def occlude(
     Occlusion
         Tracks that are too short, or without motion, are left out with their reason.
     """
-    for name, value in (("seconds", seconds), ("turn_seconds", turn_seconds)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} = {value!r}", "a positive number")
-    if not (np.isfinite(margin) and margin >= 0.0):
-        raise InputError(f"margin = {margin!r}", "a number of seconds, at least 0")
+    check_within(SMALLEST, LARGEST_SECONDS, seconds=seconds, turn_seconds=turn_seconds)
+    check_within(0.0, LARGEST_SECONDS, margin=margin)
     kept, windows, left_out = [], {}, {}
     for track in tracks:
         window = turn_window(track, seconds, margin, turn_seconds)

@@ -16,7 +16,7 @@ from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
 from graphtrack.tracks.detections import with_those_between
 from graphtrack.tracks.display import counted
 from graphtrack.tracks.track import Track, TrackSet, to_columns
-from graphtrack.tracks.validation import LARGEST_ID, check_positive
+from graphtrack.tracks.validation import LARGEST_ID, check_numbers, check_positive, number
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -43,18 +43,14 @@ class Detector:
     clutter_count : "poisson": ``clutter`` is the mean number; "fixed": the exact number, an integer
     """
 
-    missed: float = 0.0
-    occluded_share: float = 0.0
-    occluded_seconds: float = 2.0
-    clutter: float = 0.0
+    missed: float = number(0.0, 0.0, 1.0)
+    occluded_share: float = number(0.0, 0.0, 1.0)
+    occluded_seconds: float = number(2.0, 0.0, 1e6, "s")
+    clutter: float = number(0.0, 0.0, 1e5)
     clutter_count: ClutterCount = "poisson"
 
     def __post_init__(self) -> None:
-        highest = {"missed": 1.0, "occluded_share": 1.0, "occluded_seconds": 1e6, "clutter": 1e5}
-        for name, most in highest.items():
-            value = getattr(self, name)
-            if not (np.isfinite(value) and 0.0 <= value <= most):
-                raise InputError(f"{name} = {value!r}", f"a number from 0 to {most:g}")
+        check_numbers(self)
         if self.clutter_count not in get_args(ClutterCount):
             raise InputError(f"clutter_count = {self.clutter_count!r}", "poisson or fixed")
         if self.clutter_count == "fixed" and self.clutter != round(self.clutter):

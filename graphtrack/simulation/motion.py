@@ -15,10 +15,8 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.gait import BINS, gait_of
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import smooth_speed, steered_step
+from graphtrack.model.terms.couplings import BINS, BodyFollowsMotion, HeadFollowsBody, gait_of
+from graphtrack.model.terms.motion import smooth_speed, steered_step
 from graphtrack.packages import special
 
 SCENE_SIZE = 20.0  # metres: tracks begin anywhere in a square of this side around the origin

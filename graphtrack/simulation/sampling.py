@@ -10,9 +10,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.model import Model
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.simulation import WALKING_PACE
 from graphtrack.simulation.motion import (
@@ -25,7 +24,14 @@ from graphtrack.simulation.motion import (
     without_modes,
 )
 from graphtrack.tracks.track import Track, TrackSet
-from graphtrack.tracks.validation import check_count, check_frame_rate
+from graphtrack.tracks.validation import (
+    LARGEST_CONCENTRATION,
+    LARGEST_METRES,
+    SMALLEST,
+    check_count,
+    check_frame_rate,
+    check_within,
+)
 
 _AMPLITUDE = np.radians([30.0, 80.0])
 _HOLD, _RISE = (0.5, 2.0), (0.3, 0.6)
@@ -105,22 +111,14 @@ def simulate(
     check_count("n_tracks", n_tracks)
     check_count("n_steps", n_steps)
     check_frame_rate(fps)
-    if not 0.0 <= missing < 1.0:
-        raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")
+    check_within(0.0, float(np.nextafter(1.0, 0.0)), missing=missing)
     likelihood = model.parameters.likelihood
     position_std = likelihood.position_std if position_std is None else position_std
     body_kappa = likelihood.body_kappa if body_kappa is None else body_kappa
     head_kappa = likelihood.head_kappa if head_kappa is None else head_kappa
     kappas = {"body": body_kappa, "head": head_kappa}
-    if not (np.isfinite(position_std) and position_std > 0.0):
-        raise InputError(f"position_std = {position_std!r}", "a positive number of metres")
-    for name, kappa in kappas.items():
-        if not (np.isfinite(kappa) and kappa >= 0.0):
-            raise InputError(f"{name}_kappa = {kappa!r}", "a finite number, at least 0")
-    if pace is not None and not (np.isfinite(pace) and pace > 0.0):
-        raise InputError(f"pace = {pace!r}", "a positive number of metres a second, or None")
-    if not (np.isfinite(glances) and glances >= 0.0):
-        raise InputError(f"glances = {glances!r}", "a finite number a minute, at least 0")
+    check_within(SMALLEST, LARGEST_METRES, position_std=position_std, pace=pace)
+    check_within(0.0, LARGEST_CONCENTRATION, body_kappa=body_kappa, head_kappa=head_kappa, glances=glances)
     rng = np.random.default_rng() if rng is None else rng
 
     frame = np.arange(n_steps)

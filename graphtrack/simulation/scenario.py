@@ -11,6 +11,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
 from graphtrack.simulation.degrade import OBSERVED, add_noise, withhold
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import LARGEST_SECONDS, check_frame_rate, check_within
 
 SHORTEST = 12.0
 """Shortest scene in seconds."""
@@ -64,12 +65,9 @@ def scenario(
     TrackSet
         Observations, the truth, and labels that describe each person's motion.
     """
-    if not (np.isfinite(fps) and fps > 0.0):
-        raise InputError(f"fps = {fps!r}", "a positive number of frames a second")
-    if not (np.isfinite(seconds) and seconds >= SHORTEST):
-        raise InputError(f"seconds = {seconds!r}", f"at least {SHORTEST:g}")
-    if not 0.0 <= occlusion <= 5.0:
-        raise InputError(f"occlusion = {occlusion!r}", "seconds from 0 to 5")
+    check_frame_rate(fps)
+    check_within(SHORTEST, LARGEST_SECONDS, seconds=seconds)
+    check_within(0.0, 5.0, occlusion=occlusion)
     parts = _script(seconds, occlusion)
     paths = TrackSet(tuple(_walk(i, part, fps, seconds, rng) for i, part in enumerate(parts, start=1)))
     noisy = add_noise(paths, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)

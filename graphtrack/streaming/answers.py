@@ -22,14 +22,17 @@ from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
-from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
+from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
-from graphtrack.saved import from_text, integer, pack_tree, real, to_text, unpack_tree
+from graphtrack.saved import from_text, integer, pack_tree, real, to_text
 from graphtrack.smoothing import OnlineTracker
-from graphtrack.streaming.protocol import UnknownKeys, error_row, estimate_row, observation_of, text_of
+from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
 
 BEHAVIOUR = "behaviour"
-"""Key of groups and attention among the saved members of a stream."""
+"""Key of groups and attention in the state of a stream."""
+
+FRAMES = "frames"
+"""Key of `EndedFrames` among the saved members of a stream."""
 
 
 @dataclass(frozen=True)
@@ -111,69 +114,6 @@ def _null(value: Any) -> Any:
     return None if value != value or value == "" else value
 
 
-class FrameBehaviour:
-    """Groups and attention for rows with identities, reported when a frame has ended.
-
-    A frame ends with the next time. A row out of sequence changes no frame that has ended; it changes people
-    of the current frame through their estimates.
-    """
-
-    def __init__(self, scene: SceneBehaviour) -> None:
-        self._scene = scene
-        self._t, self._frame = -math.inf, 0
-        self._people: dict[int, Numbers] = {}
-
-    def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Add a row; return the rows of the previous frame, if that has ended."""
-        if estimate.status == "waiting":
-            return []
-        rows: list[dict[str, Any]] = []
-        if observation.t > self._t:
-            rows = self.finish()
-            self._t, self._frame = observation.t, observation.frame
-        if estimate.t == self._t > self._scene.t:
-            self._people[track_id] = numbers_of(estimate)
-        return rows
-
-    def finish(self) -> list[dict[str, Any]]:
-        """Return the rows of the ended frame, one for each person; later rows of it are ignored."""
-        if not self._people:
-            return []
-        by_person = self._scene.columns(people_at(self._t, self._frame, self._people))
-        self._people = {}
-        of_frame = {"frame": self._frame, "t": self._t}
-        return [{"track_id": one, **of_frame, **columns} for one, columns in by_person.items()]
-
-    def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `restore`."""
-        people = [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()]
-        t = None if math.isinf(self._t) else self._t
-        return {BEHAVIOUR: self._scene.state(), "t": t, "frame": self._frame, "people": people}
-
-    @classmethod
-    def restore(cls, state: Mapping[str, Any], asked: Asked) -> FrameBehaviour:
-        """Restore frames from `state`, for the same selection."""
-        found = cls(SceneBehaviour.restore(state[BEHAVIOUR], asked))
-        found._t = -math.inf if state["t"] is None else real(state["t"])
-        found._frame = integer(state["frame"])
-        found._people = {integer(one): tuple(from_text(saved).tolist()) for one, saved in state["people"]}
-        return found
-
-
-def merged(*parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Merge rows of the same people of a frame to one for each."""
-    given = [rows for rows in parts if rows]
-    if len(given) < 2:
-        return given[0] if given else []
-    found: dict[int, dict[str, Any]] = {}
-    for row in (row for rows in given for row in rows):
-        found.setdefault(row["track_id"], {}).update(row)
-    return [found[one] for one in sorted(found)]
-
-
-FORECASTS = "forecasts"
-"""Key of forecasts among the saved members of a stream."""
-
 STEP = 0.4
 """Default interval of forecasts, seconds, for horizons that are not shorter."""
 
@@ -200,70 +140,95 @@ def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
     }
 
 
-class FrameForecasts:
-    """Forecasts for rows with identities, reported when a frame has ended, with the next time.
+class EndedFrames:
+    """Groups, attention and forecasts for rows with identities, reported when a frame has ended.
+
+    A frame ends with the next time. A row out of sequence changes no frame that has ended; it changes people
+    of the current frame through their estimates, and no forecast.
 
     Parameters
     ----------
-    ahead : (A,) seconds
+    behaviour : groups and attention; None: not requested
+    forecaster : of the people; None: no forecasts
+    ahead : (A,) seconds of the forecasts
     """
 
-    def __init__(self, ahead: FloatArray) -> None:
-        self._ahead, self._forecaster = ahead, Forecaster()
-        self._t, self._frame = -np.inf, 0
-        self._last_positions: dict[int, tuple[float, float, float, float]] = {}
-
-    def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `from_state`."""
-        return pack_tree(
-            {
-                "forecaster": self._forecaster.state(),
-                "t": self._t if np.isfinite(self._t) else None,
-                "frame": self._frame,
-                "ids": np.array(list(self._last_positions), np.int64),
-                "seen": np.array(list(self._last_positions.values()), float).reshape(-1, 4),
-            }
-        )
-
-    @classmethod
-    def from_state(cls, ahead: FloatArray, state: Mapping[str, Any]) -> FrameForecasts:
-        """Restore forecasts from `state`, for the same times (A,)."""
-        values = unpack_tree(state)
-        found = cls(ahead)
-        found._forecaster = Forecaster.from_state(values["forecaster"])
-        found._t = -np.inf if values["t"] is None else real(values["t"])
-        found._frame = integer(values["frame"])
-        found._last_positions = dict(
-            zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True)
-        )
-        return found
+    def __init__(
+        self,
+        behaviour: SceneBehaviour | None = None,
+        forecaster: Forecaster | None = None,
+        ahead: FloatArray = np.empty(0),
+    ) -> None:
+        self._behaviour, self._forecaster, self._ahead = behaviour, forecaster, ahead
+        self._t, self._frame = -math.inf, 0
+        self._is_open = False
+        self._people: dict[int, Numbers] = {}
+        self._seen: dict[int, tuple[float, ...]] = {}
 
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Add a row; return forecasts of the previous frame, if ended. Rows out of sequence are ignored."""
-        t = observation.t
-        if estimate.status == "waiting" or t < self._t or t <= self._forecaster.t:
+        """Add a row; return a row for each person of the previous frame, if that has ended."""
+        if estimate.status == "waiting":
             return []
-        rows = self.finish() if t > self._t else []
-        self._t, self._frame = t, observation.frame
-        x, y = estimate.position.tolist() if observation.position is None else observation.position
-        std = np.nan if observation.position_std is None else observation.position_std
-        head = np.nan if observation.head is None else observation.head
-        if np.isfinite(x) and np.isfinite(y):
-            self._last_positions[track_id] = (x, y, std, head)
+        rows: list[dict[str, Any]] = []
+        if observation.t > self._t:
+            rows = self.finish()
+            self._t, self._frame, self._is_open = observation.t, observation.frame, True
+        if not self._is_open:
+            return rows
+        if self._behaviour is not None and estimate.t == self._t:
+            self._people[track_id] = numbers_of(estimate)
+        if self._forecaster is not None and observation.t == self._t:
+            at = observation.position
+            x, y = estimate.position.tolist() if at is None else at
+            given = (observation.position_std, observation.head)
+            if math.isfinite(x) and math.isfinite(y):
+                self._seen[track_id] = (x, y, *(math.nan if one is None else one for one in given))
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
-        """Return the forecasts of the ended frame, a row for each person; later rows of it are ignored."""
-        if not self._last_positions:
-            return []
-        ids, values = list(self._last_positions), np.array(list(self._last_positions.values()))
-        self._forecaster.update(self._t, ids, values[:, :2], values[:, 2], values[:, 3])
-        self._last_positions = {}
-        found = by_person(self._forecaster.forecast(self._ahead))
+        """Return the rows of the frame, one for each person, and end it; later rows of it are ignored."""
+        behaviour: dict[int, dict[str, Any]] = {}
+        ahead: dict[int, list[dict[str, float]]] = {}
+        if self._behaviour is not None and self._people:
+            behaviour = self._behaviour.columns(people_at(self._t, self._frame, self._people))
+        if self._forecaster is not None and self._seen:
+            values = np.array(list(self._seen.values()))
+            self._forecaster.update(self._t, list(self._seen), values[:, :2], values[:, 2], values[:, 3])
+            ahead = by_person(self._forecaster.forecast(self._ahead))
+        if self._people or self._seen:
+            self._is_open = False
+        self._people, self._seen = {}, {}
+        of_frame = {"frame": self._frame, "t": self._t}
+        known = sorted({*behaviour, *ahead}) if behaviour else ahead
         return [
-            {"track_id": one, "frame": self._frame, "t": self._t, "forecast": rows}
-            for one, rows in found.items()
+            {"track_id": one, **of_frame, **behaviour.get(one, {})}
+            | ({"forecast": ahead[one]} if one in ahead else {})
+            for one in known
         ]
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON-able data; see `restore`."""
+        return {
+            "t": None if math.isinf(self._t) else self._t,
+            "frame": self._frame,
+            "is_open": self._is_open,
+            "people": [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()],
+            "seen": [[one, to_text(np.array(numbers))] for one, numbers in self._seen.items()],
+            BEHAVIOUR: None if self._behaviour is None else self._behaviour.state(),
+            "forecaster": None if self._forecaster is None else pack_tree(self._forecaster.state()),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Set the state, for the same selection; the forecaster is the caller's."""
+        self._t = -math.inf if state["t"] is None else real(state["t"])
+        self._frame = integer(state["frame"])
+        if type(state["is_open"]) is not bool:
+            raise TypeError(f"{state['is_open']!r} in place of true or false")
+        self._is_open = state["is_open"]
+        self._people, self._seen = (
+            {integer(one): tuple(from_text(saved).tolist()) for one, saved in state[name]}
+            for name in ("people", "seen")
+        )
 
 
 @dataclass(frozen=True)
@@ -289,24 +254,20 @@ class _Waiting:
     answers: list[dict[str, Any]]
 
 
-class TrackAnswers:
+class TrackAnswers(Answering):
     """An online smoother for each person, made when the person first appears.
 
     Parameters
     ----------
     make : a new smoother
-    fps : frames a second, for rows without a time
-    note : called once with each unknown key
-    forecasts : of people; None: not requested
-    behaviour : groups and attention of the people of each frame; None: not requested
+    fps, note : as in `Answering`
+    frames : groups, attention and forecasts of each frame; None: not requested
     bounds : limits of the number of people
     conversations : the exchange of smoothers of a model with groups
 
     Attributes
     ----------
-    members : track id → smoother, and the forecasts, the behaviour and the conversations
-    rows, line : rows answered, and the line of the last of them, from 1
-    before_change : called with a track id before its smoother changes
+    members : track id → smoother, the frames and the conversations
     """
 
     def __init__(
@@ -314,26 +275,15 @@ class TrackAnswers:
         make: Callable[[], OnlineSmoother],
         fps: float | None,
         note: Callable[[str], None] = print,
-        forecasts: FrameForecasts | None = None,
-        behaviour: FrameBehaviour | None = None,
+        frames: EndedFrames | None = None,
         bounds: StreamBounds = StreamBounds(),
         conversations: Conversations | None = None,
     ) -> None:
-        self._bounds, self._looked = bounds, -math.inf
+        super().__init__(fps, note)
+        self._make, self._bounds, self._looked = make, bounds, -math.inf
         self._waiting = dict[int, _Waiting]()
-        self._make, self._fps, self._unknown_keys = make, fps, UnknownKeys(note)
-        of_scene = {FORECASTS: forecasts, BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
-        self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
-        self.rows = self.line = 0
-        self.before_change: Callable[[Any], None] = lambda track_id: None
-
-    def answer(self, number: int, line: bytes) -> dict[str, Any]:
-        """Return the estimate after a line of input, or its fault under ``error``."""
-        return self.answers(number, line)[-1]
-
-    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Return the answers to a line of input: those of a frame that it ends, and its `answer`."""
-        return self.answers_together([(number, line)])[0]
+        of_scene = {FRAMES: frames, CONVERSATIONS: conversations}
+        self.members = {key: one for key, one in of_scene.items() if one is not None}
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
         """Return the answers to each of some lines, the same as one by one.
@@ -349,10 +299,9 @@ class TrackAnswers:
             try:
                 cells = plain_cells(line)
                 if cells is None:
-                    pairs = parse_line(text_of(line))
-                    self._unknown_keys(pairs)
+                    pairs = self.pairs_of(line)
                     cells = read_cells(pairs)
-                self._wait_for(cells["track_id"], observation_of(cells, self._fps), found[-1])
+                self._wait_for(cells["track_id"], observation_of(cells, self.fps), found[-1])
             except InputError as error:
                 found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
         self._take_waiting()
@@ -390,14 +339,13 @@ class TrackAnswers:
         self, track_id: int, observation: Observation, estimate: Estimate
     ) -> list[dict[str, Any]]:
         """Return groups, attention and forecasts of the frame that a row ends."""
-        found: list[dict[str, Any]] = []
         if CONVERSATIONS in self.members:
             self.members[CONVERSATIONS].estimated(track_id, estimate)
-        for key in (FORECASTS, BEHAVIOUR):
-            if key in self.members:
-                self.before_change(key)
-                found = merged(self.members[key].take(track_id, observation, estimate), found)
-        return found
+        if FRAMES not in self.members:
+            return []
+        self.before_change(FRAMES)
+        frames: EndedFrames = self.members[FRAMES]
+        return frames.take(track_id, observation, estimate)
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
         """Return a person's smoother, newly made for a new or dropped person.
@@ -420,7 +368,7 @@ class TrackAnswers:
     @property
     def count(self) -> int:
         """Number of people with a state."""
-        return len(self.members) - sum(key in self.members for key in (BEHAVIOUR, CONVERSATIONS, FORECASTS))
+        return len(self.members) - sum(key in self.members for key in (FRAMES, CONVERSATIONS))
 
     def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
         after, last = self._bounds.forget_after, smoother.last
@@ -438,12 +386,11 @@ class TrackAnswers:
 
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input: those of the last frame."""
-        rows: list[dict[str, Any]] = []
-        for key in (FORECASTS, BEHAVIOUR):
-            if key in self.members:
-                self.before_change(key)
-                rows = merged(self.members[key].finish(), rows)
-        return rows
+        if FRAMES not in self.members:
+            return []
+        self.before_change(FRAMES)
+        frames: EndedFrames = self.members[FRAMES]
+        return frames.finish()
 
 
 ONE = ""
@@ -477,7 +424,7 @@ class Frame:
         return frame
 
 
-class Scenes:
+class Scenes(Answering):
     """An online tracker for each stream, made when the stream first appears.
 
     A frame ends with the next time, or with ``{"end": t}``; then its people are reported, each in a row, and
@@ -486,8 +433,7 @@ class Scenes:
     Parameters
     ----------
     make : a new tracker
-    fps : frames a second, for rows without a time
-    note : called once with each unknown key
+    fps, note : as in `Answering`
     forget : ignore identities of rows; else such a row is an error
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
@@ -495,8 +441,6 @@ class Scenes:
     Attributes
     ----------
     members : name → stream
-    rows, line : rows answered, and the line of the last of them, from 1
-    before_change : called with a name before its stream changes
     """
 
     def __init__(
@@ -509,25 +453,23 @@ class Scenes:
         horizon: tuple[float, float] | None = None,
         asked: Asked | None = None,
     ) -> None:
-        self._horizon, self._asked = horizon, asked
-        self._make, self._fps, self._forget = make, fps, forget
-        self._unknown_keys = UnknownKeys(note, {"stream", "end"})
-        self.members: dict[Name, Frame] = {}
-        self.rows = self.line = 0
-        self.before_change: Callable[[Any], None] = lambda name: None
+        super().__init__(fps, note, ("stream", "end"))
+        self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
 
     @property
     def count(self) -> int:
         """Number of tracked people in all streams."""
         return sum(len(frame.tracker) for frame in self.members.values())
 
-    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Return the answers to a line of input: none until the frame ends."""
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """Return the answers to each of some lines: none until the frame ends."""
+        return [self._answer(number, line) for number, line in lines]
+
+    def _answer(self, number: int, line: bytes) -> list[dict[str, Any]]:
         self.rows, self.line = self.rows + 1, number
         pairs: Pairs = ()
         try:
-            pairs = parse_line(text_of(line))
-            self._unknown_keys(pairs)
+            pairs = self.pairs_of(line)
             given = dict(pairs)
             name = _name(given.get("stream"))
             if "end" in given:
@@ -535,10 +477,6 @@ class Scenes:
             return self._take(name, pairs)
         except InputError as error:
             return [error_row(pairs, number, error)]
-
-    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """Return the answers to each of some lines."""
-        return [self.answers(number, line) for number, line in lines]
 
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input: those of the unfinished frames."""
@@ -556,7 +494,7 @@ class Scenes:
         number = cells.get("frame")
         if "t" not in cells and number is None:
             raise InputError("neither t nor frame", "the time of the observation", column="t")
-        one = observation_of({**cells, "frame": number or 0}, self._fps)
+        one = observation_of({**cells, "frame": number or 0}, self.fps)
         frame = self.members.get(name)
         if frame is not None and frame.t is not None and one.t < frame.t:
             raise InputError(f"t = {one.t:g}", f"a time from {frame.t:g} on", column="t")

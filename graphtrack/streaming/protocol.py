@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from codecs import BOM_UTF8
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain
@@ -16,8 +16,9 @@ from graphtrack.geometry.angles import wrapped
 from graphtrack.inference.online import Estimate
 from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
-from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
+from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
@@ -55,6 +56,52 @@ class UnknownKeys:
                 self._note(f"ignored key {name[:100]!r}{more}")
 
 
+class Answering:
+    """Base of classes that answer rows, and whose members' states are saved one by one.
+
+    Parameters
+    ----------
+    fps : frames a second, for rows without a time
+    note : called once with each unknown key
+    known : keys that are read in addition to those of the native table
+
+    Attributes
+    ----------
+    members : key → member, such as the smoother of a person
+    rows, line : rows answered, and the line of the last of them, from 1
+    before_change : called with a key before its member changes
+    """
+
+    def __init__(self, fps: float | None, note: Callable[[str], None], known: Collection[str] = ()) -> None:
+        self.fps, self._unknown_keys = fps, UnknownKeys(note, known)
+        self.members: dict[Any, Any] = {}
+        self.rows = self.line = 0
+        self.before_change: Callable[[Any], None] = lambda key: None
+
+    @property
+    def count(self) -> int:
+        """Number of tracked people."""
+        raise NotImplementedError
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """Return the answers to each of some lines, the same as one by one."""
+        raise NotImplementedError
+
+    def finish(self) -> list[dict[str, Any]]:
+        """Return the answers at the end of input."""
+        raise NotImplementedError
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """Return the answers to a line of input."""
+        return self.answers_together([(number, line)])[0]
+
+    def pairs_of(self, line: bytes) -> Pairs:
+        """Return the keys and values of a line, and report unknown keys."""
+        pairs = parse_line(text_of(line))
+        self._unknown_keys(pairs)
+        return pairs
+
+
 @lru_cache(64)
 def _unknown(names: tuple[str, ...]) -> list[str]:
     return unknown(names)
@@ -62,8 +109,7 @@ def _unknown(names: tuple[str, ...]) -> list[str]:
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
     """Return the answer to an invalid line."""
-    refused = InputError(error.found, error.expected, line=number, column=error.column)
-    return {**identity(pairs), "line": number, "error": str(refused)}
+    return {**identity(pairs), "line": number, "error": str(error.at(line=number))}
 
 
 def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -35,8 +35,9 @@ from graphtrack.io.atomic import flush_entry
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.model import Model
 from graphtrack.saved import count, damaged
+from graphtrack.streaming.protocol import Answering
 
-VERSION = 2
+VERSION = 3
 """Version of the format and of the meaning of its lines."""
 
 _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
@@ -378,28 +379,6 @@ def _write(file: io.FileIO, data: bytes, at: int) -> None:
         data = data[file.write(data) :]
 
 
-class Answering(Protocol):
-    """Protocol of classes that answer rows and whose members' states are saved one by one."""
-
-    rows: int
-    line: int
-    members: Any
-    before_change: Callable[[Any], None]
-
-    @property
-    def count(self) -> int:
-        """Number of tracked people."""
-
-    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """Return the answers to a line of input."""
-
-    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """Return the answers to each of some lines, the same as one by one."""
-
-    def finish(self) -> list[dict[str, Any]]:
-        """Return the answers at the end of input."""
-
-
 class Saving:
     """Keeps a stream in a state file: periodic snapshots of all people, and every row.
 
@@ -529,7 +508,7 @@ class Saving:
         try:
             yield
         except InputError as error:
-            raise InputError(error.found, error.expected, path=self._file.path) from error
+            raise error.at(self._file.path) from error
         except Exception as error:  # a value of a wrong type may raise anything
             raise damaged(error, "what 'graphtrack track -' wrote", self._file.path) from error
 

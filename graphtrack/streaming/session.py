@@ -18,31 +18,32 @@ from typing import IO, Any
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import times_ahead
+from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.engines import OnlineEngine, online_engine
+from graphtrack.geometry.walkable import WalkableArea
+from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.warm import make_online_ready
 from graphtrack.interaction import attention
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
+from graphtrack.model.terms.walls import StaysInside
+from graphtrack.saved import unpack_tree
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     BEHAVIOUR,
-    FORECASTS,
+    FRAMES,
     Asked,
+    EndedFrames,
     Frame,
-    FrameBehaviour,
-    FrameForecasts,
     SceneBehaviour,
     Scenes,
     StreamBounds,
     TrackAnswers,
 )
-from graphtrack.streaming.protocol import LONGEST_LINE, Lines, Refuse, StreamNames, with_first_row
-from graphtrack.streaming.saved_state import Answering, Saving, StateFile, saved_settings, settings_of
+from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
+from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -70,6 +71,7 @@ class Answers:
     horizon : (seconds, step) of forecasts to report; None: no forecasts
     asked : groups and attention to report; None: neither
     bounds : of people with identities
+    walkable : as in `OnlineSmoother`
     """
 
     model: Model
@@ -81,6 +83,7 @@ class Answers:
     horizon: tuple[float, float] | None = None
     asked: Asked | None = None
     bounds: StreamBounds = field(default_factory=StreamBounds)
+    walkable: WalkableArea | None = None
 
     @property
     def chosen_engine(self) -> str:
@@ -89,7 +92,12 @@ class Answers:
 
     @property
     def _options(self) -> dict[str, Any]:
-        return {"engine": self.engine, "lag": self.lag, "camera": self.camera}
+        return {
+            "engine": self.engine,
+            "lag": self.lag,
+            "camera": self.camera,
+            "walkable": self.walkable,
+        }
 
     def people(self, note: Callable[[str], None] = ignore) -> TrackAnswers:
         """Return the object that answers rows with identities."""
@@ -97,18 +105,32 @@ class Answers:
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
             note,
-            None if self.horizon is None else FrameForecasts(times_ahead(*self.horizon)),
-            None if self.asked is None else FrameBehaviour(SceneBehaviour(self.asked)),
+            self._frames(None, None if self.horizon is None else Forecaster(walkable=self.walkable)),
             self.bounds,
             Conversations(self.model) if self.model.has_groups else None,
         )
 
+    def _frames(self, saved: Any, forecaster: Forecaster | None) -> EndedFrames | None:
+        """Return groups, attention and forecasts of frames, from a state if there is one; None: none."""
+        if self.asked is None and self.horizon is None:
+            return None
+        behaviour = None
+        if self.asked is not None:
+            new = SceneBehaviour(self.asked)
+            behaviour = new if saved is None else SceneBehaviour.restore(saved[BEHAVIOUR], self.asked)
+        ahead = np.empty(0) if self.horizon is None else times_ahead(*self.horizon)
+        frames = EndedFrames(behaviour, forecaster, ahead)
+        if saved is not None:
+            frames.restore(saved)
+        return frames
+
     def restored_person(self, key: Any, saved: Any) -> Any:
         """Restore a member of `people` from its state."""
-        if self.horizon is not None and key == FORECASTS:
-            return FrameForecasts.from_state(times_ahead(*self.horizon), saved)
-        if self.asked is not None and key == BEHAVIOUR:
-            return FrameBehaviour.restore(saved, self.asked)
+        if (self.asked is not None or self.horizon is not None) and key == FRAMES:
+            state = None if self.horizon is None else unpack_tree(saved["forecaster"])
+            return self._frames(
+                saved, None if state is None else Forecaster.from_state(state, walkable=self.walkable)
+            )
         if self.model.has_groups and key == CONVERSATIONS:
             return Conversations.from_state(saved, self.model)
         if type(key) is not int:
@@ -129,6 +151,7 @@ class Answers:
         """Return the settings that the answers depend on, as JSON-able data."""
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
+        found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         return found | ({} if self.asked is None else self.asked.settings())
 
     def warm_up(self) -> None:
@@ -136,6 +159,8 @@ class Answers:
         engine = online_engine(self.model, self.engine)
         if engine == "chain" or self.model.has_modes:
             make_online_ready(self.model, engine)
+            if self.walkable is not None:
+                make_online_ready(self.model.with_terms(StaysInside), engine)
         if self.asked is not None or self.model.has_groups:
             attention.make_behaviour_ready()
         if self.horizon is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,11 +22,8 @@ from graphtrack.tracks.schema import (
     expected_group,
     expected_integer,
     in_order,
-    is_column,
     numeric,
-    repeated,
     together,
-    unknown,
 )
 from graphtrack.tracks.time import Plane, TimeScale
 from graphtrack.tracks.validation import (
@@ -34,13 +31,11 @@ from graphtrack.tracks.validation import (
     STATE,
     TEXT,
     bounds_of,
-    check_frame_rate,
     is_text,
     out_of_bounds,
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
     import pyarrow as pa
 
 
@@ -420,92 +415,6 @@ def _array(kind: pa.DataType, there: NDArray[np.bool_], buffers: list[pa.Buffer]
     return pa.Array.from_buffers(kind, len(there), [valid, *buffers])
 
 
-def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
-    """Return the rows of a DataFrame, or of name → column; see `TrackSet.from_table`."""
-    check_frame_rate(fps)
-    table = frame_of(table)
-    names = [str(name) for name in table.columns]
-    twice = repeated(names)
-    if twice is not None:
-        raise InputError(f"column {twice!r} twice", "each column once")
-    columns, notes = {}, []
-    for name in names:
-        if is_column(name):
-            values = table[name]
-            if name == "t" and values.dtype.kind in "mM":
-                values = _seconds(values)
-                notes.append("t had dates or times: seconds, of dates since 1970-01-01 UTC")
-            columns[name] = values.to_numpy() if name == "label" else _numbers(values, name)
-    rows = from_columns(
-        columns,
-        path=Path("table"),
-        format="table",
-        fps=fps,
-        line_of=lambda i: i + 1,
-        ignored=unknown(names),
-        notes=tuple(notes),
-    )
-    if "position" not in rows.channels:
-        raise no_camera(rows)
-    return rows
-
-
-def frame_of(table: Any) -> pd.DataFrame:
-    """Return a pandas DataFrame of one, of another Arrow table (polars), or of name → column."""
-    import pandas as pd
-
-    if isinstance(table, pd.DataFrame):
-        return table
-    if hasattr(table, "__arrow_c_stream__"):
-        import pyarrow as pa
-
-        return pa.table(table).to_pandas()
-    if not isinstance(table, Mapping):
-        raise InputError(f"a {type(table).__name__}", "a DataFrame, or a dict of columns")
-    try:
-        columns = {str(name): pd.Series(column) for name, column in _arrays(table)}
-    except UnicodeEncodeError as error:
-        raise InputError(f"the text {error.object!r}", TEXT) from error
-    sizes = {name: len(column) for name, column in columns.items()}
-    if len(set(sizes.values())) > 1:
-        found = ", ".join(f"{name} ({size})" for name, size in sizes.items())
-        raise InputError(f"columns of different lengths: {found}", "a row for each person and frame")
-    return pd.DataFrame({name: column.to_numpy() for name, column in columns.items()})
-
-
-def _arrays(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for name, column in table.items():
-        try:
-            shape = np.shape(column)
-        except ValueError:  # rows of different lengths
-            shape = (0, 0)
-        if len(shape) != 1:
-            raise InputError(f"an array of shape {shape}", "a column of shape (n,)", column=str(name))
-        yield name, column
-
-
-def _seconds(times: pd.Series[Any]) -> pd.Series[Any]:
-    import pandas as pd
-
-    if times.dtype.kind == "M":
-        times = times - pd.Timestamp(0, tz=times.dt.tz)
-    return times.dt.total_seconds()
-
-
-def _numbers(column: pd.Series[Any], name: str) -> FloatArray:
-    import pandas as pd
-
-    if column.dtype.kind in "mMc":
-        kind = "complex numbers" if column.dtype.kind == "c" else "dates or times"
-        raise InputError(kind, "numbers", column=name)
-    try:
-        return column.to_numpy(dtype=float, na_value=np.nan)
-    except (TypeError, ValueError):
-        bad = pd.to_numeric(column, errors="coerce").isna() & column.notna()
-        row = int(np.flatnonzero(bad.to_numpy())[0]) if bad.any() else 0
-        raise InputError(f"{column.iloc[row]!r}", "a number", line=row + 1, column=name) from None
-
-
 def from_columns(
     columns: Mapping[str, NDArray[Any]],
     *,
@@ -513,8 +422,9 @@ def from_columns(
     format: str,
     fps: float | None,
     line_of: Callable[[int], int],
-    ignored: Sequence[str] = (),
-    notes: tuple[str, ...] = (),
+    fail: Callable[..., InputError],
+    ignored: Sequence[str],
+    notes: tuple[str, ...],
 ) -> Rows:
     """Return rows from the columns of the native table, checked cell by cell.
 
@@ -523,15 +433,10 @@ def from_columns(
     columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
     path, format, line_of : as in `Rows`
     fps : frames a second, for rows without times
+    fail : makes the error for what is found and expected in a row and a column
     ignored : names of further columns of the file
     notes : assumptions so far
     """
-
-    def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:
-        return InputError(
-            found, expected, path=path, line=None if row is None else line_of(row), column=column
-        )
-
     identified = "track_id" in columns
     if not identified and "frame" in columns:
         columns = {**columns, "track_id": np.full(len(columns["frame"]), -1.0)}

@@ -206,9 +206,9 @@ def _offset(zone: str) -> int:
     return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 60 + int(digits[2:])) * 60 * 10**9
 
 
-def check_time_unit(unit: str | None) -> None:
+def check_time_unit(unit: str) -> None:
     """Raise InputError for an unknown unit of time."""
-    if unit is not None and unit != "iso" and unit not in NANOSECONDS_IN:
+    if unit != "iso" and unit not in NANOSECONDS_IN:
         raise InputError(f"time_unit = {unit!r}", f"one of {', '.join(NANOSECONDS_IN)}, iso")
 
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
+from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
 from graphtrack.tracks.schema import in_order as columns_in_order
@@ -29,7 +30,6 @@ from graphtrack.tracks.table import (
     Rows,
     check_identities,
     restored,
-    rows_of_table,
     sorted_rows,
 )
 from graphtrack.tracks.validation import (
@@ -456,8 +456,8 @@ class TrackSet:
 
         Parameters
         ----------
-        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC, with a
-            note in the summary.
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds from the midnight (UTC)
+            before the first.
         fps : frames a second, for a table without ``t``
 
         Raises
@@ -465,8 +465,7 @@ class TrackSet:
         InputError
             With the row (from 1) and column of an invalid value.
         """
-        rows = rows_of_table(table, fps)
-        return cls.from_identified_rows(rows)
+        return cls.from_identified_rows(rows_of_table(table, fps))
 
     @classmethod
     def from_identified_rows(cls, rows: Rows) -> TrackSet:
@@ -518,6 +517,14 @@ class TrackSet:
         return cls(tuple(tracks), rows.camera, summary, rows.as_read)
 
 
+def observed_angle(track: Track, name: str) -> FloatArray:
+    """Observed angle (n,) of body or head in radians; NaN where unobserved."""
+    angle = getattr(track, name)
+    directions = None if angle is None else unit(angle)
+    vectors = vectors_of(directions, getattr(track, f"{name}_likelihood"), len(track))
+    return np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+
+
 def _contents(tracks: Sequence[Track]) -> str:
     """Return the time span and channels of tracks, such as ``0.0–19.9 s, body, head; truth``."""
     begin, end = min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks)
@@ -553,7 +560,7 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
         "frame": _joined([track.frame for track in tracks], np.int64),
     }
     for column in (*COLUMNS, *_input_columns(tracks)):
-        if any(_channel(track, column.field) is not None for track in tracks):
+        if any(channel_of(track, column.field) is not None for track in tracks):
             columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
     # Spreads that no engine estimated are NaN throughout: leave the column out.
     for column in COLUMNS:
@@ -576,7 +583,8 @@ def _input_columns(tracks: TrackSet) -> list[Column]:
     return [column for name in columns_in_order(names) if (column := numeric(name)) is not None]
 
 
-def _channel(track: Track, field: str) -> FloatArray | None:
+def channel_of(track: Track, field: str) -> FloatArray | None:
+    """Return an attribute of a track, or one of its inputs (``input_<name>``); None if it is absent."""
     if field.startswith(INPUT):
         return track.inputs.get(field.removeprefix(INPUT))
     value: FloatArray | None = getattr(track, field)
@@ -584,7 +592,7 @@ def _channel(track: Track, field: str) -> FloatArray | None:
 
 
 def _cells(track: Track, column: Column) -> FloatArray:
-    value = _channel(track, column.field)
+    value = channel_of(track, column.field)
     if value is None:
         return np.full(len(track), np.nan)
     place: tuple[Any, ...] = (..., *column.index)

@@ -131,6 +131,13 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
         raise InputError(f"{name} = {value!r}", f"a positive number up to {highest:g}")
 
 
+def check_within(low: float, high: float, **values: float | None) -> None:
+    """Raise InputError for a setting that is neither a number from ``low`` to ``high`` nor None."""
+    for name, value in values.items():
+        if value is not None and not (is_number(value) and low <= value <= high):
+            raise InputError(f"{name} = {value!r}", Bounds(low, high).expected)
+
+
 def is_number(value: object) -> bool:
     """Return whether a setting is a real number, and not text or a boolean."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
@@ -176,6 +183,23 @@ def is_text(value: object) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def parse_number(text: str) -> float | None:
+    """Parse a finite decimal number, or return None; unlike ``float`` no ``nan``, ``inf`` or ``1_000``."""
+    if "_" in text or not text.isascii():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def expected_number(text: str) -> str:
+    """Return a description of the expected number where `parse_number` finds none."""
+    decimal_comma = parse_number(text.replace(",", ".")) is not None
+    return "a finite number with a decimal point" if decimal_comma else "a finite number"
 
 
 def check_frame_rate(fps: float | None) -> None:

@@ -56,12 +56,6 @@ _X, _Y = (
 _HEAD_POSITIONS = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])  # (n, 2) searched positions of a head
 
 
-def within_reach(head: FloatArray) -> NDArray[np.bool_]:
-    """Return a mask (n,) of heads (n, 2), in heights of the box, within the searched positions."""
-    low, high = _HEAD_POSITIONS.min(axis=0), _HEAD_POSITIONS.max(axis=0)
-    return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
-
-
 def orientations(patch: Image) -> NDArray[np.float32]:
     """Gradients (rows, columns, 9) about head and shoulders, in squares of `_STEP` pixels of a patch.
 
@@ -244,8 +238,7 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_CHOICES = ((1.0, 0.0), (3.0, 0.0))  # shrinkage, weight of rendered people; chosen on held-out people
-_CHOICES_WITH_RENDERED = ((10.0, 1.0), (10.0, 3.0))  # further choices with rendered people
+_SHRINKAGES = (1.0, 3.0)  # chosen on held-out people
 _NEVER = 100.0  # log density penalty of a direction without walkers
 _LEAST_PEOPLE = 2  # least number of people for an observed direction, or its mirror image
 _MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
@@ -322,7 +315,7 @@ class DirectionModel:
     ----------
     weight : (8, d); bias : (8,)
     temperature, share : as in `fit_temperature_and_share`
-    observed : (8,) whether people, or rendered people, walked in the direction or its mirror image
+    observed : (8,) whether people walked in the direction or its mirror image
     """
 
     weight: NDArray[np.float32]
@@ -393,7 +386,6 @@ def fit_directions(
     angle: FloatArray,
     person: NDArray[np.int64],
     fold: NDArray[np.int64],
-    rendered: tuple[NDArray[np.float32], FloatArray] | None = None,
 ) -> tuple[DirectionModel, HeldOut]:
     """Fit a model to all people, and return held-out outputs for each person.
 
@@ -403,33 +395,23 @@ def fit_directions(
     sign : (d,) as `View.sign`
     angle : (n,) radians in the image frame
     person, fold : (n,) as from `folds_of`
-    rendered : features (m, d) and angles (m,) of rendered people, used if that increases the likelihood of
-        held-out people
     """
     label = CLASSES.index(angle)
-    more, tried = None, list(_CHOICES)
-    if rendered is not None:
-        negatives, rendered_negatives = rendered
-        more = Sums.of(negatives, sign, CLASSES.index(rendered_negatives), np.arange(len(negatives)))
-        tried = [*_CHOICES, *_CHOICES_WITH_RENDERED]
     parts = np.unique(fold).tolist()
     sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
     everybody = reduce(Sums.__add__, sums)
-    scores = np.zeros((len(tried), len(label), len(CLASSES)))
+    scores = np.zeros((len(_SHRINKAGES), len(label), len(CLASSES)))
     for k, of_part in zip(parts, sums, strict=True):
         rest = everybody - of_part
-        for s, (shrinkage, share) in enumerate(tried):
-            model = rest.helped(more, share).discriminant(sign, shrinkage)
+        for s, shrinkage in enumerate(_SHRINKAGES):
+            model = rest.discriminant(sign, shrinkage)
             scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
-    walked = observed_directions(label, person)
-    # Rendered people cover all directions.
-    observed = [walked | (share > 0.0) for _, share in tried]
-    found = [_honest(*one, label, fold) for one in zip(scores, observed, strict=True)]
+    observed = observed_directions(label, person)
+    found = [_honest(one, observed, label, fold) for one in scores]
     best = int(np.argmin([one.loss(angle) for one in found]))
-    temperature, negatives_near = fit_temperature_and_share(scores[best], label)
-    shrinkage, share = tried[best]
-    weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
-    return DirectionModel(weight, bias, temperature, negatives_near, observed[best]), found[best]
+    weight, bias = everybody.discriminant(sign, _SHRINKAGES[best])
+    calibration = fit_temperature_and_share(scores[best], label)
+    return DirectionModel(weight, bias, *calibration, observed), found[best]
 
 
 def observed_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -496,31 +478,6 @@ class Sums:
     def __sub__(self, other: Sums) -> Sums:
         even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
         return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
-
-    def helped(self, negatives: Sums | None, share: float) -> Sums:
-        """Add other people, shifted to these, with a total weight of ``share`` of these."""
-        if negatives is None or share == 0.0:
-            return self
-        factor = share * float(self.weight.sum()) / float(negatives.weight.sum())
-        moved = negatives.moved_to(self)
-        even, odd = (factor * square for square in moved.squares)
-        return self + Sums(factor * moved.weight, factor * moved.total, (even, odd))
-
-    def moved_to(self, negatives: Sums) -> Sums:
-        """Shift these by the mean difference to others of the same direction.
-
-        Features that change sign under mirroring are not shifted, by symmetry.
-        """
-        even = self.squares[0].shape[0]
-        means = self.total[:, :even] / np.maximum(self.weight, 1e-9)[:, None]
-        apart = (negatives.total[:, :even] - negatives.weight[:, None] * means).sum(
-            axis=0
-        ) / negatives.weight.sum()
-        total = self.total.copy()
-        total[:, :even] += self.weight[:, None] * apart
-        crossed = np.outer(self.total[:, :even].sum(axis=0), apart)
-        square = self.squares[0] + crossed + crossed.T + self.weight.sum() * np.outer(apart, apart)
-        return Sums(self.weight, total, (square, self.squares[1]))
 
     def discriminant(
         self, sign: NDArray[np.float32], shrinkage: float

@@ -40,11 +40,6 @@ def patch_of(image: Image, box: ArrayLike) -> Image:
 
     The box, left, top, width and height in pixels, is in the middle, and `TALL` rows high.
     """
-    return as_patch(surroundings(image, box))
-
-
-def surroundings(image: Image, box: ArrayLike) -> Image:
-    """Cut out the pixels of `patch_of` at the image's own resolution."""
     left, top, width, height = np.asarray(box, float)
     h, w = image.shape[:2]
     scale = height / TALL
@@ -52,11 +47,7 @@ def surroundings(image: Image, box: ArrayLike) -> Image:
     first_row = round(top - ABOVE * scale)
     columns = np.clip(first_column + np.arange(max(2, round(COLUMNS * scale))), 0, w - 1)
     rows = np.clip(first_row + np.arange(max(2, round(ROWS * scale))), 0, h - 1)
-    return np.ascontiguousarray(image[rows[:, None], columns[None, :]])
-
-
-def as_patch(found: Image) -> Image:
-    """Resize `surroundings` to a patch."""
+    found = np.ascontiguousarray(image[rows[:, None], columns[None, :]])
     method = cv2.INTER_AREA if found.shape[0] > ROWS else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(found, (COLUMNS, ROWS), interpolation=method), np.uint8)
 

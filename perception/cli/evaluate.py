@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,13 +10,13 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, print_table, progress_bar, save_figure, write_json
+from graphtrack.cli.console import print_table, progress_bar, save_figure, write_json
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
-_TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
+_TABLES = ("pose", "localisation", "recognition", "published", "keypoints")
 _REAL = ("heads", "lobby", "street", "people")
 """Tables of recordings, made on request."""
 
@@ -26,8 +25,6 @@ def evaluate(
     tables: Annotated[list[str] | None, typer.Argument(metavar="[TABLE]...")] = None,
     count: Annotated[int, typer.Option(min=50)] = 600,
     train: Annotated[int, typer.Option(min=100)] = 400,
-    clips: Annotated[int, typer.Option(min=1)] = 2,
-    head_pose: str = "deep_belief",
     plot: Path | None = None,
     data: Annotated[Path | None, typer.Option(envvar="GRAPHTRACK_DATA")] = None,
     heads: Annotated[int, typer.Option(min=1)] = 6,
@@ -39,15 +36,13 @@ def evaluate(
     Parameters
     ----------
     tables : pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), localisation (Chen
-        et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2),
+        et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3),
         published (Chen et al.'s perception as published, and ours), keypoints (body and head from keypoints);
         all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town Centre's
         heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), people
         (precision of detections in Town Centre).
     count : Rendered images to evaluate on.
     train : Rendered images to train on: localisation, published.
-    clips : Rendered clips of the table joint.
-    head_pose : Classifier of the table joint.
     plot : Picture of reliability and confusion to write (.png).
     data : Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.
     heads : Heads of the table heads.
@@ -62,79 +57,62 @@ def evaluate(
     if plot is not None and "pose" not in wanted:
         raise InputError("--plot without the table pose", "pose among the tables")
     shown: list[Table] = []
-    asked = _Asked(
-        count, train, clips, head_pose, plot, data if data is not None else DATA_FOLDER, heads, seed
-    )
     for name in (*_TABLES, *_REAL):
-        if name in wanted:
-            for table in asked.tables(name):
-                print_table(table.title, table.records())
-                shown.append(table)
-            if name == "joint":
-                emit("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error")
+        if name not in wanted:
+            continue
+        if name in _TABLES:
+            found = _rendered(name, count, train, plot, np.random.default_rng(seed))
+        else:
+            found = [_recorded(name, data if data is not None else DATA_FOLDER, heads, seed)]
+        for table in found:
+            print_table(table.title, table.records())
+            shown.append(table)
     write_json(json_path, [table.to_dict() for table in shown])
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """Options of the command."""
+def _rendered(
+    name: str, count: int, train: int, plot: Path | None, rng: np.random.Generator
+) -> Iterable[Table]:
+    """Compute the tables of a name on rendered people; they do not depend on the other tables."""
+    from perception.evaluation import classifiers
+    from perception.models import load_keypoint_pose
 
-    count: int
-    train: int
-    clips: int
-    head_pose: str
-    plot: Path | None
-    data: Path
-    heads: int
-    seed: int
+    if name == "pose":
+        found, figure = classifiers.pose_tables(count, rng)
+        if plot is not None:
+            save_figure(figure, plot, dpi=110)
+        return found
+    if name == "localisation":
+        return [classifiers.localisation_table(count, train, rng)]
+    if name == "recognition":
+        return classifiers.recognition_tables(rng)
+    if name == "published":
+        return classifiers.published_tables(train, count, rng)
+    return [classifiers.keypoint_table(load_keypoint_pose(), count, rng)]
 
-    def tables(self, name: str) -> Iterable[Table]:
-        """Compute the tables of a name; they do not depend on the other tables."""
-        from perception.evaluation import classifiers
-        from perception.models import load_keypoint_pose
 
-        rng = np.random.default_rng(self.seed)
-        if name == "pose":
-            found, figure = classifiers.pose_tables(self.count, rng)
-            if self.plot is not None:
-                save_figure(figure, self.plot, dpi=110)
-            return found
-        if name == "localisation":
-            return [classifiers.localisation_table(self.count, self.train, rng)]
-        if name == "recognition":
-            return classifiers.recognition_tables(rng)
-        if name == "published":
-            return classifiers.published_tables(self.train, self.count, rng)
-        if name == "keypoints":
-            return [classifiers.keypoint_table(load_keypoint_pose(), self.count, rng)]
-        if name == "joint":
-            from perception.evaluation.joint_effect import joint_table
+def _recorded(name: str, data: Path, heads: int, seed: int) -> Table:
+    """Compute a table of recordings, with a progress bar."""
+    town = data / "towncentre"
+    if name == "heads":
+        from perception.experiments.head_trackers import heads_table
 
-            return [joint_table(self.clips, self.head_pose, rng)]
-        return [self._of_recordings(name)]
+        with progress_bar(heads, "heads") as advance:
+            return heads_table(town, heads, seed, advance)
+    if name == "lobby":
+        from perception.evaluation.adapted_cameras import adapted_table, sequences_of
 
-    def _of_recordings(self, name: str) -> Table:
-        """Compute a table of recordings, with a progress bar."""
-        town = self.data / "towncentre"
-        if name == "heads":
-            from perception.experiments.head_trackers import heads_table
+        sequences = sequences_of(data / "caviar")
+        with progress_bar(len(sequences), "sequences") as advance:
+            return adapted_table(sequences, seed, advance)
+    if name == "street":
+        from perception.evaluation.adapted_cameras import METHODS, PARTS, methods_table
 
-            with progress_bar(self.heads, "heads") as advance:
-                return heads_table(town, self.heads, self.seed, advance)
-        if name == "lobby":
-            from perception.evaluation.adapted_cameras import adapted_table, sequences_of
+        with progress_bar(PARTS + len(METHODS), "steps") as advance:
+            return methods_table(town, seed, advance)
+    from perception.evaluation.found_people import reliability_table
+    from perception.images.frames import FrameSource
 
-            sequences = sequences_of(self.data / "caviar")
-            with progress_bar(len(sequences), "sequences") as advance:
-                return adapted_table(sequences, self.seed, advance)
-        if name == "street":
-            from perception.evaluation.adapted_cameras import METHODS, PARTS, methods_table
-
-            with progress_bar(PARTS + len(METHODS), "steps") as advance:
-                return methods_table(town, self.seed, advance)
-        from perception.evaluation.found_people import reliability_table
-        from perception.images.frames import FrameSource
-
-        count = len(FrameSource.open(town / "frames_001_150" / "img1").numbers())
-        with progress_bar(count, "frames") as advance:
-            return reliability_table(town, self.seed, advance)
+    count = len(FrameSource.open(town / "frames_001_150" / "img1").numbers())
+    with progress_bar(count, "frames") as advance:
+        return reliability_table(town, seed, advance)

@@ -44,10 +44,8 @@ def follow(
     foot_at: Annotated[float | None, typer.Option(min=-20.0, max=20.0)] = None,
     middle_at: Annotated[float | None, typer.Option(min=0.0, max=20.0)] = None,
     pan_limit: Annotated[float | None, typer.Option(min=0.0, max=180.0)] = None,
-    colour_rate: Annotated[float | None, typer.Option(min=0.0, max=1.0)] = None,
     as_in_the_paper: bool = False,
     background: Annotated[list[Path] | None, typer.Option(metavar="IMAGE|FOLDER", exists=True)] = None,
-    head_pose: str = "frame",
 ) -> None:
     """Track one person or head through a video, and write its boxes as observations for graphtrack.
 
@@ -65,12 +63,9 @@ def follow(
         of a foot point. By default with a fisheye: 1, or 1.6 for the box of a head.
     pan_limit : Degrees: largest pan away from the camera in mixed-state; 90 if heads never turn their backs.
         By default 180, in the paper 90.
-    colour_rate : Share of the colour histogram that each frame replaces, for color; 0, the default: the
-        first box's histogram stays. mixed-state has 0.05.
     as_in_the_paper : Use the published form of the tracker, without later improvements.
     background : Image, or folder of images, without the person (furniture), for sigma-pi; can be given
         several times.
-    head_pose : head_p*: frame (likelihoods of single frames) or filtered (the tracker's posterior).
     """
     from graphtrack.errors import InputError
     from perception.drawing.people import draw
@@ -79,8 +74,6 @@ def follow(
     from perception.images.pixels import pictures
     from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
 
-    if head_pose not in ("frame", "filtered"):
-        raise InputError(f"--head-pose {head_pose}", "frame or filtered")
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
     never = {f"--background {p}": p for given in background or () for p in FrameSource.files(given)}
@@ -91,10 +84,6 @@ def follow(
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
-    if colour_rate is not None:
-        if tracker != "color":
-            raise InputError(f"--colour-rate with {tracker}", "the tracker color")
-        parameters = replace(parameters, rate=colour_rate)
     images = [image for given in background or () for image in following.background_images(given)]
     follower = make_tracker(tracker, particles, seed, parameters, background=images)
     of_heads = tracker in OF_HEADS
@@ -127,9 +116,7 @@ def follow(
         )
         seconds = time.perf_counter() - begun
         first = next(item.estimate.box for item in found if item.estimate.found)
-        track = following.to_track(
-            found, on_ground(first), follower.pan_classes, clock, filtered=head_pose == "filtered"
-        )
+        track = following.to_track(found, on_ground(first), follower.pan_classes, clock)
         following.write_boxes(found, track, output)
     print_skipped(refused)
     for note in following.notes(found, track):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, write_tracks
+from graphtrack.cli.console import emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.adapt import check_adapt, stamp_of_camera, teach
@@ -23,7 +23,6 @@ from perception.cli.options import (
     Render,
     VideoOrFolder,
     check_output_paths,
-    decoded_frames,
     in_time,
     print_camera_note,
     print_skipped,
@@ -119,7 +118,7 @@ def observe(
     boxes_first_frame: FirstFrame = None,
     write_boxes_to: Annotated[Path | None, typer.Option("--write-boxes")] = None,
     render: Render = None,
-    causal: Annotated[bool | None, typer.Option("--causal/--whole-track")] = None,
+    causal: Annotated[bool, typer.Option("--causal")] = False,
     appearance: bool | None = None,
 ) -> None:
     """Detect people and estimate their positions and body and head orientation, frame by frame.
@@ -134,8 +133,7 @@ def observe(
     output : File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, frame by
         frame.
     write_boxes_to : Write the detected boxes here, as MOT text, whose frames count from 1.
-    causal : Choose heads and detect people from past frames only, or from the whole recording. By default
-        causal with -o -, else the whole recording.
+    causal : Choose heads and detect people from past frames only, as with -o -, not from the whole recording.
     appearance : Write appearance descriptors (appearance_0 ...), which distinguish people; on for boxes
         without identities, else off.
     """
@@ -152,7 +150,9 @@ def observe(
         given_models = (*model.parts, model.camera_models, network.keypoints)
         check_adapt(streamed, camera.homography or camera.calibration, given_models)
     if streamed:
-        _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
+        for name, path in (("--write-boxes", write_boxes_to), ("--render", render)):
+            if path is not None:
+                raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
     outputs: dict[str, Path | Sequence[Path] | None] = {
         "--output": output,
         "the journals of --output": [*search_journals(output), *_output_paths(output)],
@@ -191,7 +191,7 @@ def observe(
         camera,
         output,
         identified=identified,
-        causal=bool(causal),
+        causal=causal,
         render=render,
         write_boxes_to=write_boxes_to,
         refused=refused,
@@ -281,15 +281,6 @@ def _observe_file(
     print_written(output, render)
 
 
-def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -> None:
-    """Refuse options that need past frames, with a stream as the output."""
-    for name, path in files.items():
-        if path is not None:
-            raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
-    if causal is False:
-        raise InputError("--whole-track with -o -", "a file as the output: rows are written frame by frame")
-
-
 def _stream(
     frames: FrameSource,
     boxes: list[PersonBox] | None,
@@ -332,9 +323,11 @@ def _render(
 
     people, camera = people_by_frame(observed, frames_observed), observed.tracks.camera
     assert camera is not None
-    every = decoded_frames(frames, lambda number: True, frames.count, unit="frames drawn")
+    every = frames.reported(lambda number: True, frames.count, progress_bar, unit="frames drawn")
     with pictures(path, fps) as write_picture, every as decoded:
         for frame in decoded:
             if frame.image is not None:
-                shown = draw_people(frame.image, frame.number, people.get(frame.number, ()), camera)
-                write_picture(frame.number, shown)
+                of_frame = people.get(frame.number, ())
+                write_picture(
+                    frame.number, draw_people(frame.image, f"frame {frame.number}", of_frame, camera)
+                )

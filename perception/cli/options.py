@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, progress_bar
+from graphtrack.cli.console import emit
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import Clock, Frame, FrameSource
+    from perception.images.frames import Clock, FrameSource
 
 _SHOWN = 5
 _FPS = 25.0
@@ -143,27 +142,6 @@ def check_output_paths(
         folders={"--render": render if in_folder else None},
         table=table,
     )
-
-
-@contextmanager
-def decoded_frames(
-    frames: FrameSource,
-    wanted: Callable[[int], bool],
-    count: int,
-    *,
-    unit: str = "frames",
-    one_size: bool = False,
-) -> Iterator[Iterator[Frame]]:
-    """Return the wanted frames, ``count`` in number, with a progress bar.
-
-    Parameters
-    ----------
-    one_size : whether a change of the frames' size is an `InputError`
-    """
-    from perception.images.frames import frames_with_progress
-
-    with frames_with_progress(frames, wanted, count, progress_bar, unit=unit, one_size=one_size) as decoded:
-        yield decoded
 
 
 def in_time(count: int, seconds: float) -> str:

@@ -20,7 +20,6 @@ from perception.cli.options import (
     CameraOptions,
     FirstFrame,
     VideoOrFolder,
-    decoded_frames,
     read_given_boxes,
     skipped,
 )
@@ -283,10 +282,10 @@ class _Run:
             assert self.camera is not None
             estimates, observations = self._read("tracks"), self._read("observations")
             people = shown_by_frame(estimates, observations, self.people, self.camera)
-            count, place = self.frames.count, self.folder.file("video")
-            unit = "frames drawn"
-            with decoded_frames(self.frames, lambda k: True, count, unit=unit, one_size=True) as decoded:
-                write_video(place, decoded, people, self.camera, self.clock)
+            with self.frames.reported(
+                lambda number: True, self.frames.count, progress_bar, unit="frames drawn", one_size=True
+            ) as decoded:
+                write_video(self.folder.file("video"), decoded, people, self.camera, self.clock)
             return []
 
         self.folder.stage("video", self.clock, ("video",), work)

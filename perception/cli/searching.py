@@ -14,10 +14,10 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.options import decoded_frames, in_time, stamp_of
+from perception.cli.options import in_time, stamp_of
 from perception.storage import key_of
 
 if TYPE_CHECKING:
@@ -99,9 +99,8 @@ class NetworkOptions:
 
     def load(self, frames: FrameSource) -> OwnNetworks:
         """Load the networks and keypoints."""
-        from perception.detection.boxes import found_by_frame
+        from perception.detection.keypoint_files import read_keypoints
         from perception.detection.yolo import YoloNetwork
-        from perception.pose.keypoints import read_keypoints
 
         points = self.keypoints
         pose_file = points if points and points.suffix.lower() == ".onnx" and points.is_file() else None
@@ -116,7 +115,7 @@ class NetworkOptions:
 
         known = None
         if points is not None and pose_file is None:
-            known = found_by_frame(read_keypoints(points, frames.frame_of))
+            known = read_keypoints(points, frames.frame_of)
         asked = (stamp_of(self.detector), stamp_of(pose_file), parameters, points is not None)
         return OwnNetworks(network(self.detector, False), network(pose_file, True), known, asked)
 
@@ -162,7 +161,7 @@ def searched(
         return number not in known and (numbers is None or number in numbers)
 
     left = max((frames.count if numbers is None else len(numbers)) - len(known), 0)
-    with decoded_frames(frames, wanted, left, unit=unit, one_size=one_size) as decoded:
+    with frames.reported(wanted, left, progress_bar, unit=unit, one_size=one_size) as decoded:
         for frame in decoded:
             if frame.image is None:
                 refuse(frame.reason)
@@ -231,7 +230,9 @@ def look_at_people(
     report_progress(journal)
     known = frozenset(journal) | empty
     left = frames.count - len(known)
-    with decoded_frames(frames, lambda number: number not in known, left, one_size=one_size) as decoded:
+    with frames.reported(
+        lambda number: number not in known, left, progress_bar, one_size=one_size
+    ) as decoded:
         return pipeline.observe(decoded, people, models, journal, refuse=refuse)
 
 
@@ -354,7 +355,7 @@ class PeopleSearch:
         """Decode some frames, with a progress bar; none if none are wanted."""
         if not wanted:
             return nullcontext(iter(()))
-        return decoded_frames(self.frames, wanted.__contains__, len(wanted), unit=unit, one_size=True)
+        return self.frames.reported(wanted.__contains__, len(wanted), progress_bar, unit=unit, one_size=True)
 
     def _taught(self, camera: GroundCamera, candidates: Mapping[int, Candidates]) -> PersonProbability | None:
         from perception.detection.rescoring import taught

@@ -29,7 +29,6 @@ from perception.pose.keypoints import (
     KNOWN,
     N_POINTS,
     SHOULDERS,
-    PersonPoints,
     Points,
     as_points,
     in_coco_order,
@@ -193,21 +192,6 @@ _SURE = 0.3
 _ABOVE, _BELOW, _ASIDE = 0.09, 0.04, 0.06
 """Extent of a person beyond eyes, ankles and all points, in heights (Drillis & Contini 1966)."""
 _TRUNKS = 1.86  # from hips to soles, in lengths from shoulders to hips
-
-
-def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:
-    """People of files by frame."""
-    groups: dict[int, list[PersonPoints]] = {}
-    for person in people:
-        groups.setdefault(person.frame, []).append(person)
-    return {
-        frame: Detections(
-            np.array([person.box for person in group]),
-            np.array([person.score for person in group]),
-            np.array([person.points for person in group]),
-        )
-        for frame, group in groups.items()
-    }
 
 
 def box_of(points: FloatArray) -> FloatArray | None:

@@ -103,21 +103,24 @@ _LEAST, _MOST = 28.0, 1200.0  # range of people's heights, pixels
 _LATTICE = 16
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Band:
-    """Part of the image, enlarged or reduced.
+    """Part of the image, enlarged or reduced, and its windows with possible people of one height.
 
     Attributes
     ----------
     scale : pixels of the band over those of the image
     left, top : pixel of the image at which the band begins
     size : columns and rows of the band
+    windows, foot : (n, 2) rows and columns of the windows, and image pixels of their feet
     """
 
     scale: float
     left: int
     top: int
     size: tuple[int, int]
+    windows: NDArray[np.int64]
+    foot: FloatArray
 
     def cut(self, image: Image) -> Image:
         """Return the band of an image; the border is replicated."""
@@ -131,105 +134,70 @@ class Band:
             part = cv2.copyMakeBorder(part, *beyond, cv2.BORDER_REPLICATE)
         return resized(np.asarray(part, np.uint8), self.size)
 
-    def feet(self) -> FloatArray:
-        """Return image pixels (rows, columns, 2) of the feet of each window."""
-        columns, rows = (length // CELL - blocks for length, blocks in zip(self.size, WINDOW, strict=True))
-        u = self.left + (CELL * np.arange(columns) + FOOT[0]) / self.scale
-        v = self.top + (CELL * np.arange(rows) + FOOT[1]) / self.scale
-        return np.stack(np.meshgrid(u, v), axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class GroundBands:
-    """Bands of a camera over the ground, and their windows with possible people.
-
-    Attributes
-    ----------
-    bands : by height
-    windows : of each band, (n, 2) rows and columns of windows
-    foot : of each band, (n, 2) pixels of their feet
-    expected : of each band, (n,) log of the window's height over that of a person of mean height
-    """
-
-    bands: tuple[Band, ...]
-    windows: tuple[NDArray[np.int64], ...]
-    foot: tuple[FloatArray, ...]
-    expected: tuple[FloatArray, ...]
-
-    @classmethod
-    def of(cls, sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> GroundBands:
-        """Return the bands of images of ``size`` columns and rows.
-
-        Parameters
-        ----------
-        tolerance : of the log of people's height
-        """
-        u, v = np.meshgrid(np.arange(0, size[0], _LATTICE), np.arange(0, size[1], _LATTICE))
-        lattice = np.column_stack([u.ravel(), v.ravel()]).astype(float)
-        height = sizes.heights(lattice)
-        usable = np.isfinite(height) & (height >= _LEAST) & (height <= min(_MOST, 2.0 * size[1]))
-        lattice, height = lattice[usable], height[usable]
-        found: list[tuple[Band, NDArray[np.int64], FloatArray, FloatArray]] = []
-        if len(height):
-            count = max(1, int(np.ceil(np.log(height.max() / height.min()) / np.log(_STEP))))
-            for tall in np.geomspace(height.min(), height.max(), count + 1) if count > 1 else height[:1]:
-                near = lattice[np.abs(np.log(height / tall)) <= tolerance + 0.02]
-                if len(near):
-                    found.append(_band(sizes, size, near, float(tall), tolerance))
-        kept = [one for one in found if len(one[1])]
-        return cls(*(tuple(values) for values in zip(*kept, strict=True))) if kept else cls((), (), (), ())
-
-    def grids(self, image: Image, foreground: NDArray[np.float32] | None) -> list[Grid]:
-        """Yield blocks (rows, columns, 37) of each band: gradients, and the share of the foreground.
+    def blocks(self, image: Image, foreground: NDArray[np.float32] | None) -> Grid:
+        """Return blocks (rows, columns, 37): gradients, and the share of the foreground.
 
         Parameters
         ----------
         foreground : (h, w) from 0 to 1, at the image's size or a smaller one; None: not known, and 0
         """
-        found = []
-        for band in self.bands:
-            gradients = gradient_blocks(band.cut(image))
-            if foreground is None:
-                shares = np.zeros((*gradients.shape[:2], 1), np.float32)
-            else:
-                shares = mean_blocks(_of_smaller(band, foreground, image.shape[1]))
-            found.append(np.concatenate([gradients, shares], axis=2))
-        return found
+        gradients = gradient_blocks(self.cut(image))
+        if foreground is None:
+            shares = np.zeros((*gradients.shape[:2], 1), np.float32)
+        else:
+            shares = mean_blocks(self._of_smaller(foreground, foreground.shape[1] / image.shape[1]))
+        return np.concatenate([gradients, shares], axis=2)
+
+    def _of_smaller(self, values: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+        """Return the band of values (h, w) that were reduced by a factor."""
+        scale = self.scale / factor
+        move = np.array([[scale, 0.0, -self.left * self.scale], [0.0, scale, -self.top * self.scale]])
+        if self.scale < 0.7 * factor:
+            width = max(1, round(0.7 * factor / self.scale))
+            values = cv2.blur(values, (width, width))
+        return np.asarray(
+            cv2.warpAffine(values, move, self.size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+            np.float32,
+        )
 
 
-def _of_smaller(band: Band, values: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
-    """Return the band of values (h, w) that were reduced from images with ``columns``."""
-    factor = values.shape[1] / columns
-    move = np.array(
-        [
-            [band.scale / factor, 0.0, -band.left * band.scale],
-            [0.0, band.scale / factor, -band.top * band.scale],
-        ]
-    )
-    if band.scale < 0.7 * factor:
-        width = max(1, round(0.7 * factor / band.scale))
-        values = cv2.blur(values, (width, width))
-    return np.asarray(
-        cv2.warpAffine(values, move, band.size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-        np.float32,
-    )
+def bands_of(sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> list[Band]:
+    """Return the bands of images of ``size`` columns and rows that hold people, by height.
+
+    ``tolerance`` is that of the log of people's height.
+    """
+    u, v = np.meshgrid(np.arange(0, size[0], _LATTICE), np.arange(0, size[1], _LATTICE))
+    lattice = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    height = sizes.heights(lattice)
+    usable = np.isfinite(height) & (height >= _LEAST) & (height <= min(_MOST, 2.0 * size[1]))
+    lattice, height = lattice[usable], height[usable]
+    if not len(height):
+        return []
+    count = max(1, int(np.ceil(np.log(height.max() / height.min()) / np.log(_STEP))))
+    found = []
+    for tall in np.geomspace(height.min(), height.max(), count + 1) if count > 1 else height[:1]:
+        near = lattice[np.abs(np.log(height / tall)) <= tolerance + 0.02]
+        if len(near):
+            found.append(_band(sizes, size, near, float(tall), tolerance))
+    return [band for band in found if len(band.windows)]
 
 
-def _band(
-    sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: float, tolerance: float
-) -> tuple[Band, NDArray[np.int64], FloatArray, FloatArray]:
+def _band(sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: float, tolerance: float) -> Band:
     scale = TALL / tall
     low, high = near.min(axis=0), near.max(axis=0) + _LATTICE
     left, top = (int(np.floor(low[k] - FOOT[k] / scale)) for k in range(2))
     extent = (high - np.array([left, top])) * scale + np.array([32.0, 128.0 - FOOT[1]])
-    band = Band(scale, left, top, (int(np.ceil(extent[0])), int(np.ceil(extent[1]))))
-    feet = band.feet()
-    expected = np.log(tall / sizes.heights(feet.reshape(-1, 2))).reshape(feet.shape[:2])
+    band_size = int(np.ceil(extent[0])), int(np.ceil(extent[1]))
+    across, down = (length // CELL - blocks for length, blocks in zip(band_size, WINDOW, strict=True))
+    u = left + (CELL * np.arange(across) + FOOT[0]) / scale
+    v = top + (CELL * np.arange(down) + FOOT[1]) / scale
+    feet = np.stack(np.meshgrid(u, v), axis=-1)
     inside = (feet >= 0.0).all(axis=-1) & (feet <= np.array(size)).all(axis=-1)
     with np.errstate(invalid="ignore"):
-        rows, columns = np.nonzero(inside & (np.abs(expected) <= tolerance))
+        off = np.log(tall / sizes.heights(feet.reshape(-1, 2))).reshape(feet.shape[:2])
+        rows, columns = np.nonzero(inside & (np.abs(off) <= tolerance))
     windows = np.column_stack([rows, columns]).astype(np.int64)
-    return band, windows, feet[rows, columns], expected[rows, columns]
+    return Band(scale, left, top, band_size, windows, feet[rows, columns])
 
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)
@@ -290,18 +258,17 @@ class GroundSearch:
 
     def __init__(self, camera: GroundCamera, size: tuple[int, int]) -> None:
         self.size = size
-        self._bands = bands = GroundBands.of(PersonSizes.of(camera, size), size)
-        if not bands.bands:
+        self._bands = bands = bands_of(PersonSizes.of(camera, size), size)
+        if not bands:
             raise InputError(
                 f"images of {size[0]} × {size[1]} pixels in which people are not upright or too small",
                 "a calibration of this view, or --boxes",
             )
         self._first = first_filter()
-        counts = [len(windows) for windows in bands.windows]
-        self._band = np.repeat(np.arange(len(counts)), counts)
-        self._window = np.vstack(bands.windows)
-        self._foot = np.vstack(bands.foot)
-        self._height = TALL / np.repeat([band.scale for band in bands.bands], counts)
+        self._band = np.repeat(np.arange(len(bands)), [len(band.windows) for band in bands])
+        self._window = np.vstack([band.windows for band in bands])
+        self._foot = np.vstack([band.foot for band in bands])
+        self._height = TALL / np.array([band.scale for band in bands])[self._band]
 
     def candidates(self, image: Image, background: Background | None) -> Candidates:
         """Return the best candidates of a frame, best first; without a background from gradients only.
@@ -319,11 +286,11 @@ class GroundSearch:
         foreground = None if background is None else background.foreground(image)
         if foreground is not None and float(foreground.mean()) > _MOST_FOREGROUND:
             foreground = None
-        grids = self._bands.grids(image, foreground)
+        grids = [band.blocks(image, foreground) for band in self._bands]
         score = np.concatenate(
             [
-                self._first.scores(grid)[windows[:, 0], windows[:, 1]]
-                for grid, windows in zip(grids, self._bands.windows, strict=True)
+                self._first.scores(grid)[band.windows[:, 0], band.windows[:, 1]]
+                for grid, band in zip(grids, self._bands, strict=True)
             ]
         ).astype(float)
         best = np.argsort(-score, kind="stable")[: 40 * _MOST_CANDIDATES]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -35,6 +35,7 @@ _LIKELY = 0.95
 _STEP = np.deg2rad(3.0)
 _BETWEEN = np.deg2rad(0.7)
 _FAINTEST, _STRONGEST = 0.12, 0.6
+_INTERVAL = 1.96  # half width of 95 % sectors, in standard deviations
 _REACH = 1.7  # radius of a sector in arrow lengths
 
 
@@ -116,39 +117,73 @@ def likely(distribution: FloatArray) -> NDArray[np.bool_]:
     return chosen
 
 
-def peak(distribution: FloatArray, classes: PoseClasses) -> float:
-    """Return the direction (radians) of the largest class and its two neighbours, weighted."""
-    near = (int(distribution.argmax()) + np.array([-1, 0, 1])) % len(distribution)
-    return float(direction(distribution[near] @ unit(classes.pan[near])))
+class DrawnDirection(Protocol):
+    """Direction with its uncertainty, to be drawn in a plane."""
+
+    @property
+    def likeliest(self) -> float:
+        """Likeliest direction, radians."""
+        ...
+
+    def shade(self, picture: Image, place: Place, colour: Colour) -> None:
+        """Draw sectors of the directions with 95 % of the probability, if the plane is visible."""
+        ...
 
 
-def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseClasses, colour: Colour) -> None:
-    """Draw the `likely` classes of a direction as sectors, with opacity by likelihood.
+@dataclass(frozen=True, eq=False)
+class Likelihoods:
+    """Distribution (n_pan,) over the pans of classes; the `likely` ones are shaded by likelihood."""
 
-    Parameters
-    ----------
-    distribution : (n_pan,) over the pans of the classes, which are directions in the plane of ``place``
-    """
-    half = classes.step / 2.0 - _BETWEEN
+    distribution: FloatArray
+    classes: PoseClasses
+
+    @property
+    def likeliest(self) -> float:
+        """Direction (radians) of the largest class and its two neighbours, weighted."""
+        near = (int(self.distribution.argmax()) + np.array([-1, 0, 1])) % len(self.distribution)
+        return float(direction(self.distribution[near] @ unit(self.classes.pan[near])))
+
+    def shade(self, picture: Image, place: Place, colour: Colour) -> None:
+        """Draw the likely classes as sectors."""
+        strength = self.distribution / max(float(self.distribution.max()), 1e-300)
+        for k in np.flatnonzero(likely(self.distribution)):
+            half = self.classes.step / 2.0 - _BETWEEN
+            _sector(picture, place, (self.classes.pan[k], half), colour, float(strength[k]))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Estimated direction and its standard deviation, radians; narrower sectors are more opaque."""
+
+    likeliest: float
+    std: float
+
+    def shade(self, picture: Image, place: Place, colour: Colour) -> None:
+        """Draw the interval as a sector beyond an arrow, which would hide a narrow sector."""
+        if not np.isfinite(self.std):
+            return
+        half = min(_INTERVAL * self.std, np.pi)
+        edge = _sector(picture, place, (self.likeliest, half), colour, float(np.exp(-half)), _REACH)
+        if edge is not None:
+            cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
+
+
+def _sector(
+    picture: Image,
+    place: Place,
+    about: tuple[float, float],
+    colour: Colour,
+    strength: float,
+    radius: float = 1.0,
+) -> FloatArray | None:
+    """Fill the sector about a direction with a half width (radians); return its edge, None if not visible."""
+    angle, half = about
     across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
-    strength = distribution / max(float(distribution.max()), 1e-300)
-    for k in np.flatnonzero(likely(distribution)):
-        edge = place(np.vstack([[0.0, 0.0], unit(classes.pan[k] + across)]))
-        if np.isfinite(edge).all():
-            _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * float(strength[k]))
-
-
-def sector(picture: Image, place: Place, angle: float, half: float, colour: Colour) -> None:
-    """Draw a sector about a direction (radians), with a half width; narrower sectors are more opaque.
-
-    It extends beyond an arrow in that direction, which would hide a narrow sector.
-    """
-    across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
-    edge = place(np.vstack([[0.0, 0.0], _REACH * unit(angle + across)]))
-    if np.isfinite(edge).all():
-        strength = float(np.exp(-half))
-        _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * strength)
-        cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
+    edge = place(np.vstack([[0.0, 0.0], radius * unit(angle + across)]))
+    if not np.isfinite(edge).all():
+        return None
+    _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * strength)
+    return edge
 
 
 def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
@@ -204,7 +239,7 @@ _HEAD: Colour = (40, 220, 245)
 _BOX: Colour = (235, 160, 60)
 _TRUE: Colour = (120, 220, 90)
 _GROWN = 0.15  # margin above and below, in heights of the box
-_ASPECT = 0.75
+_ASPECT, _HEIGHT = 0.75, 320  # of a picture of cues: width over height, and rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +263,7 @@ class Cues:
     true: FloatArray | None = None
 
 
-def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320) -> Image:
+def draw_cues(image: Image, cues: Cues, camera: GroundCamera) -> Image:
     """Draw the part of a frame around a person, with circles of 50 cm at the feet (body) and at the head.
 
     As in Chen et al. 2011, Fig. 5: the detection is dashed, the head's box solid; thin lines are the
@@ -239,13 +274,12 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
     ----------
     image : the whole frame
     camera : over the ground
-    height : of the picture in pixels
     """
     left, top, width, tall = cues.box
     side = tall * (1.0 + 2.0 * _GROWN)
     corner = np.array([left + width / 2.0 - _ASPECT * side / 2.0, top - _GROWN * tall])
-    factor = height / side
-    size = round(_ASPECT * height), height
+    factor = _HEIGHT / side
+    size = round(_ASPECT * _HEIGHT), _HEIGHT
     shift = np.array([[factor, 0.0, -factor * corner[0]], [0.0, factor, -factor * corner[1]]])
     picture = np.asarray(cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR), np.uint8)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from perception.drawing import overlays
-from perception.drawing.overlays import FONT, Place
+from perception.drawing.overlays import FONT, DrawnDirection, Likelihoods, Place
 from perception.images.pixels import Image
 from perception.observe.pipeline import FrameObservation, head_in_image
 from perception.observe.tables import ObservedTracks
@@ -20,27 +20,39 @@ from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
-_RADII = 0.8, 0.55  # metres on the ground, of the arrows of body and head
+_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
+_HEAD_BELOW = 0.08  # depth of the head's middle below the top of a box without a known head, in its heights
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnPerson:
-    """A person in one frame.
+    """An observed or estimated person in one frame.
 
     Attributes
     ----------
     track_id : determines the colour
-    box, head_box : (4,) left, top, width, height in pixels
+    box : (4,) left, top, width, height in pixels
     position : (2,) metres
-    body, head : (8,) and (12,) likelihoods in the world; they sum to 1
+    body, head : directions in the world; None where not known
+    head_box : (4,) as ``box``; None where not known
+    visible : whether the person was observed; else the box is predicted, and dashed
+    path : (n, 2) pixels on the ground, of the last seconds
     """
 
     track_id: int
     box: FloatArray
-    head_box: FloatArray
     position: FloatArray
-    body: FloatArray
-    head: FloatArray
+    body: DrawnDirection | None
+    head: DrawnDirection | None
+    head_box: FloatArray | None = None
+    visible: bool = True
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+
+    def planes(self, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
+        """Return the ground at the feet and its copy at the head, in a drawing enlarged by ``factor``."""
+        head = self.box * (1.0, 1.0, 1.0, 2.0 * _HEAD_BELOW) if self.head_box is None else self.head_box
+        middle = head[:2] + head[2:] / 2.0
+        return overlays.planes(camera, self.position, middle, _RADII, lambda pixel: pixel * factor)
 
 
 def people_by_frame(
@@ -62,87 +74,20 @@ def people_by_frame(
             person = DrawnPerson(
                 track.track_id,
                 np.array(item.box),
-                head_in_image(item, int(observed.heads[track.track_id][row])),
                 track.position[row],
-                track.body_likelihood[row],
-                track.head_likelihood[row],
+                Likelihoods(track.body_likelihood[row], _BODY),
+                Likelihoods(track.head_likelihood[row], _HEAD),
+                head_in_image(item, int(observed.heads[track.track_id][row])),
             )
             found.setdefault(number, []).append(person)
     return found
 
 
-def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera: GroundCamera) -> Image:
-    """Draw a frame with people's boxes and ids in individual colours, and body and head directions.
+def draw_people(image: Image, words: str, people: Sequence[DrawnPerson], camera: GroundCamera) -> Image:
+    """Draw a frame with people's boxes, ids and paths in individual colours, and body and head directions.
 
-    Sectors on the ground at the feet show the directions with 95 % of the body's likelihood, with opacity by
-    likelihood, and an arrow the likeliest one. Lighter sectors at the head show the same for the head.
-
-    Parameters
-    ----------
-    number : of the frame
-    camera : over the ground
-    """
-    picture, factor = overlays.enlarged_image(image), overlays.enlargement(image)
-    width = overlays.line_width(picture)
-    people = sorted(people, key=lambda person: float(person.box[1] + person.box[3]))  # nearer people in front
-    for person in people:  # sectors first, so that they hide no box
-        on_ground, at_head = _planes(person, camera, factor)
-        overlays.fan(picture, on_ground, person.body, _BODY, overlays.person_colour(person.track_id))
-        overlays.fan(picture, at_head, person.head, _HEAD, overlays.LIGHT)
-    for person in people:
-        colour = overlays.person_colour(person.track_id)
-        on_ground, at_head = _planes(person, camera, factor)
-        overlays.box(picture, person.box * factor, colour, width)
-        overlays.box(picture, person.head_box * factor, overlays.LIGHT, width)
-        overlays.arrow(picture, on_ground, overlays.peak(person.body, _BODY), colour, 2 * width)
-        overlays.arrow(picture, at_head, overlays.peak(person.head, _HEAD), overlays.LIGHT, width)
-        overlays.identity(picture, person.track_id, person.box * factor, colour, width)
-    overlays.text(picture, f"frame {number}", (8, 26), overlays.LIGHT, 0.3 + 0.25 * width)
-    return picture
-
-
-def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
-    head = person.head_box[:2] + person.head_box[2:] / 2.0
-    return overlays.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
-
-
-_TRACKED_RADII = 0.8, 0.6  # metres on the ground, of the arrows of body and head
-_HEAD_BELOW = 0.08  # depth of the head's middle below the top of a box, in its heights
-_INTERVAL = 1.96  # half width of 95 % sectors, in standard deviations
-_WIDEST = np.pi
-
-
-@dataclass(frozen=True, eq=False)
-class ShownPerson:
-    """An estimated person in one frame.
-
-    Attributes
-    ----------
-    track_id : determines the colour
-    box : (4,) left, top, width, height in pixels
-    visible : whether the person was observed; else the box is predicted
-    position : (2,) metres
-    body, body_std, head, head_std : radians; NaN where not known
-    path : (n, 2) pixels on the ground, of the last seconds
-    """
-
-    track_id: int
-    box: FloatArray
-    visible: bool
-    position: FloatArray
-    body: float
-    body_std: float
-    head: float
-    head_std: float
-    path: FloatArray
-
-
-def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera: GroundCamera) -> Image:
-    """Draw a frame with people's boxes, identities and paths, in constant colours.
-
-    A sector on the ground at the feet shows the body direction with 95 % probability, and an arrow the
-    estimate; lighter marks at the head show the same for the head. Unobserved people have dashed boxes at the
-    estimate.
+    Marks on the ground at the feet show the directions with 95 % of the body's probability, and an arrow the
+    likeliest one. Lighter marks at the head show the same for the head.
 
     Parameters
     ----------
@@ -159,33 +104,27 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
                 cv2.polylines(
                     picture, [overlays.points(path)], False, shade, wide, cv2.LINE_AA, overlays.FRACTION
                 )
+    for person in people:  # sectors before boxes, so that they hide none
+        colours = overlays.person_colour(person.track_id), overlays.LIGHT
+        for angle, place, colour in zip(_angles(person), person.planes(camera, factor), colours, strict=True):
+            if angle is not None:
+                angle.shade(picture, place, colour)
     for person in people:
         colour = overlays.person_colour(person.track_id)
-        on_ground, at_head = _planes_of(person, camera, factor)
-        _sector(picture, on_ground, person.body, person.body_std, colour)
-        _sector(picture, at_head, person.head, person.head_std, overlays.LIGHT)
-    for person in people:
-        colour = overlays.person_colour(person.track_id)
-        on_ground, at_head = _planes_of(person, camera, factor)
         (overlays.box if person.visible else overlays.dashed_box)(picture, person.box * factor, colour, width)
-        if np.isfinite(person.body):
-            overlays.arrow(picture, on_ground, person.body, colour, 2 * width)
-        if np.isfinite(person.head):
-            overlays.arrow(picture, at_head, person.head, overlays.LIGHT, width)
+        if person.head_box is not None:
+            overlays.box(picture, person.head_box * factor, overlays.LIGHT, width)
+        arrows = ((colour, 2 * width), (overlays.LIGHT, width))
+        for angle, place, mark in zip(_angles(person), person.planes(camera, factor), arrows, strict=True):
+            if angle is not None:
+                overlays.arrow(picture, place, angle.likeliest, *mark)
         overlays.identity(picture, person.track_id, person.box * factor, colour, width)
     overlays.text(picture, words, (8, round(16 + 12 * width)), overlays.LIGHT, 0.3 + 0.25 * width)
     return picture
 
 
-def _sector(picture: Image, place: Place, angle: float, std: float, colour: overlays.Colour) -> None:
-    if np.isfinite(angle) and np.isfinite(std):
-        overlays.sector(picture, place, angle, min(_INTERVAL * std, _WIDEST), colour)
-
-
-def _planes_of(person: ShownPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
-    left, top, width, height = person.box
-    head = np.array([left + width / 2.0, top + _HEAD_BELOW * height])
-    return overlays.planes(camera, person.position, head, _TRACKED_RADII, lambda pixel: pixel * factor)
+def _angles(person: DrawnPerson) -> tuple[DrawnDirection | None, DrawnDirection | None]:
+    return person.body, person.head
 
 
 _FOUND, _LOST, _PARTICLE = (80, 220, 80), (80, 80, 230), (240, 200, 60)
@@ -245,7 +184,7 @@ def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, fact
     def place(offset: FloatArray) -> FloatArray:
         return np.asarray(estimate.centre * factor + length * offset[:, ::-1], float)
 
-    overlays.fan(shown, place, estimate.pan, pan_classes, _PAN)
+    Likelihoods(estimate.pan, pan_classes).shade(shown, place, _PAN)
     overlays.arrow(shown, place, mean_pan(estimate, pan_classes), _PAN, 2)
 
 

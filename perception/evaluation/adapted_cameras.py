@@ -6,7 +6,7 @@ All people are held out of the models that evaluate them. People lean in the lob
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -237,13 +237,13 @@ def observed_by_other_people(
     return associated(table.columns, table.number, people), camera, float(np.mean(shares))
 
 
-def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
+def methods_table(folder: Path, seed: int, progress: Progress) -> Table:
     """Evaluate position, body and head of walking people, and identities, by every method of the report."""
     tracks, camera, share = observed_by_other_people(folder, seed, progress)
     truth = read_identified(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
     reference = _travel(truth)
     rows = []
-    for method in methods:
+    for method in METHODS:
         for news in (None, share):
             graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
             found, _ = estimated(tracks, camera, method, _ignore, graph)

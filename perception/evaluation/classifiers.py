@@ -329,7 +329,7 @@ def keypoint_table(model: KeypointPose, count: int, rng: np.random.Generator) ->
 FORMS = {"ours": False, "as printed": True}
 
 
-def published_tables(train: int, count: int, rng: np.random.Generator, *, seed: int = 0) -> Iterator[Table]:
+def published_tables(train: int, count: int, rng: np.random.Generator) -> Iterator[Table]:
     """Yield figures of the head localiser, body pose and templates in both forms.
 
     Parameters
@@ -337,7 +337,6 @@ def published_tables(train: int, count: int, rng: np.random.Generator, *, seed: 
     train : number of rendered training images
     count : number of test images
     rng : source of the test images
-    seed : of the training
     """
     people = make_pedestrians(count, rng)
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
@@ -349,7 +348,7 @@ def published_tables(train: int, count: int, rng: np.random.Generator, *, seed: 
     for name in PUBLISHED:
         rows: list[dict[str, Cell]] = []
         for form, printed in FORMS.items():
-            model = train_on_rendered(name, images=train, test_images=50, seed=seed, as_published=printed)
+            model = train_on_rendered(name, images=train, test_images=50, as_published=printed)
             if isinstance(model, HeadLocaliser):
                 rows.append({"form": form, **localisation_figures(model, people)})
                 continue

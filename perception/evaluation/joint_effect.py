@@ -9,15 +9,14 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
-from graphtrack.experiments.chen_joint import ANGLES, PAPER, WITH_FULL, Scores, most_likely_error
-from graphtrack.experiments.harness import Cell, Table
+from graphtrack.experiments.chen_joint import ANGLES, WITH_FULL, Scores, most_likely_error
+from graphtrack.experiments.harness import Cell
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track, TrackSet
-from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import (
     Models,
     PersonObservation,
@@ -28,7 +27,7 @@ from perception.observe.pipeline import (
     observe_frame,
 )
 from perception.observe.tables import to_tracks
-from perception.synthetic.clips import Clip, walking_clip
+from perception.synthetic.clips import Clip
 
 LAG = 2.0
 """Smoothing window of the online graphs in seconds, as in `graphtrack track`."""
@@ -223,16 +222,3 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, Cell]]
             row[f"{angle} ±"] = float(errors.std() / np.sqrt(len(errors)))
         rows.append({**row, "people": found.people})
     return rows
-
-
-def joint_table(clips: int, head_pose: str, rng: np.random.Generator) -> Table:
-    """Compute Chen et al.'s Table 2 on rendered clips, with heads by a classifier of the package."""
-    models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier(head_pose))
-    rows = joint_effect((walking_clip(rng) for _ in range(clips)), models)
-    for name, values in PAPER.items():
-        of_paper = dict(zip(("body_deg", "head_deg"), values, strict=True))
-        rows.append(
-            {**dict.fromkeys(rows[0], ""), "estimate": f"paper, {name}", "group": "online", **of_paper}
-        )
-    title = f"Mean errors on {clips} rendered clips, heads by {head_pose} (Chen et al. 2011, Table 2)"
-    return Table.of(title, rows)

@@ -6,16 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from graphtrack.experiments.harness import (
-    Cell,
-    Experiment,
-    Panel,
-    Progress,
-    Reproduction,
-    Settings,
-    Table,
-    page,
-)
+from graphtrack.experiments.harness import Cell, Experiment, Panel, Parts, Settings, Table
 from perception.experiments.head_trackers import (
     AS_PRINTED,
     JOINT,
@@ -80,65 +71,54 @@ def _occlusions(settings: Settings) -> list[HeadJob]:
     return [HeadJob((settings.seed, k, 100 + i), clip) for k in range(seeds) for i, clip in enumerate(clips)]
 
 
-def work(settings: Settings) -> int:
-    """Return the number of steps: sequences, and the identification of static heads."""
-    return sum(map(len, _jobs(settings).values())) + len(_occlusions(settings)) + 1
-
-
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """Run the experiment."""
+def _parts(settings: Settings) -> Parts:
+    groups, behind = _jobs(settings), _occlusions(settings)
+    settings.expect(sum(map(len, groups.values())) + len(behind) + 1)
     named, confused = still_heads(settings)
-    progress(1)
-    groups = _jobs(settings)
+    settings.progress(1)
     jobs = [job for group in groups.values() for job in group]
-    results = iter(zip(jobs, run_all(run_job, jobs, progress), strict=True))
+    results = iter(zip(jobs, run_all(run_job, jobs, settings.progress), strict=True))
     done: dict[str, Done] = {name: [next(results) for _ in group] for name, group in groups.items()}
-    behind = _occlusions(settings)
-    hidden = list(zip(behind, run_all(run_occlusion, behind, progress), strict=True))
+    hidden = list(zip(behind, run_all(run_occlusion, behind, settings.progress), strict=True))
     facing = done[_FACING]
-    tracking = Table.of(
+    yield named
+    yield confused
+    yield Table.of(
         "Tracking before things of skin and hair colour: mean ± standard deviation over seeds",
         [row for name, group in done.items() for row in _rows(name, group)],
     )
-    tables = (
-        named,
-        confused,
-        tracking,
-        _by_place(facing),
-        _on_top(facing),
-        _survived(hidden),
-        _published_table(facing),
-    )
-    notes = (
-        "e(t) is the mean share that the two boxes do not have in common; lost: no overlap in some frame.",
+    tables = _by_place(facing), _on_top(facing), _survived(hidden)
+    yield from tables
+    yield _published_table(facing)
+    placed, on_top, survived = (table.records() for table in tables)
+    yield Panel("Heads that face the camera, by their boxes", placed, "box", "frames (%)", "method")
+    yield Panel("Error of the pan, by the head's box", placed, "box", "pan error (°)", "method")
+    yield Panel("Graph on top over the tracker alone", on_top, "error", "ratio", "tracker", level=1.0)
+    yield Panel(tables[2].title, survived, "clutter", "guided by the graph (%)", "tracker")
+    yield "e(t) is the mean share that the two boxes do not have in common; lost: no overlap in some frame."
+    yield (
         "All methods have the same frames, first box (the true one), 200 particles and motion, and the same "
         "exemplars but for the tracker as in the paper, which has plain ones; in "
         "the rows −90° to 90° all assume that the head faces the camera, as Ba & Odobez's model does. "
-        "The memory of "
-        "colours is the same for the colour tracker and for mixed-state.",
+        "The memory of colours is the same for the colour tracker and for mixed-state."
+    )
+    yield (
         "Pan: error of the mean of the distribution, and of its mode (eq. 10, Ba & Odobez's "
-        "estimate). Level: error "
-        "of the tilt that is always 0.",
+        "estimate). Level: error of the tilt that is always 0."
+    )
+    yield (
         f"Badly placed: e(t) of at least {_BADLY:g}, in frames where the box still touches the "
-        f"head's; Ba & Odobez 2003 "
-        "shows one such frame (Fig. 4).",
+        "head's; Ba & Odobez 2003 shows one such frame (Fig. 4)."
+    )
+    yield (
         "Graph on top: the tracker's boxes and pans, smoothed offline by the preset full; errors of the "
-        "centre are in widths of the head.",
+        "centre are in widths of the head."
+    )
+    yield (
         f"Hidden: a wall hides the head for {_HIDDEN} frames while the person walks on; survived: the box "
-        "overlaps the head's in 90 % of the frames from the tenth after it reappears.",
-        "Ba & Odobez (2003) give its tracking errors as a curve only (Fig. 3), for one sequence.",
+        "overlaps the head's in 90 % of the frames from the tenth after it reappears."
     )
-    placed, on_top, survived = (table.records() for table in tables[3:6])
-    figure = page(
-        [
-            Panel("Heads that face the camera, by their boxes", placed, "box", "frames (%)", "method"),
-            Panel("Error of the pan, by the head's box", placed, "box", "pan error (°)", "method"),
-            Panel("Graph on top over the tracker alone", on_top, "error", "ratio", "tracker", level=1.0),
-            Panel(tables[5].title, survived, "clutter", "guided by the graph (%)", "tracker"),
-        ],
-        columns=2,
-    )
-    return Reproduction("ba-mixed-state", tables, figure, notes)
+    yield "Ba & Odobez (2003) give its tracking errors as a curve only (Fig. 3), for one sequence."
 
 
 def _by_place(facing: Done) -> Table:
@@ -264,7 +244,7 @@ def _published_table(facing: Done) -> Table:
 EXPERIMENT = Experiment(
     "ba-mixed-state",
     "Ba & Odobez 2003: identification, and tracking and pose together",
-    work,
-    run,
     "2 sequences of 40 frames of each kind",
+    _parts,
+    columns=2,
 )

@@ -20,8 +20,8 @@ from graphtrack.experiments.harness import (
     CAVIAR,
     Cell,
     Experiment,
+    Parts,
     Progress,
-    Reproduction,
     Settings,
     Table,
     quietly,
@@ -238,50 +238,50 @@ def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settin
     return Table.of("Paper / ours: CAVIAR with labelled heads and with the network's (Fig. 5b)", records)
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """Run the experiment; without CAVIAR's frames only the splits of rendered heads."""
+def _parts(settings: Settings) -> Parts:
+    """Yield the parts; without CAVIAR's frames only the splits of rendered heads."""
     model = load_classifier("deep_belief")
     assert isinstance(model, DeepBelief)
-    people = _people(settings)
-    found = splits(model, people, settings, progress)
-    notes = [
-        "Baxter et al. (2014) train the last layer on 80 % of Benfold's heads and 50 % of CAVIAR's, "
-        "and shows the confusion "
-        "as a picture, without numbers in its text. Here the package's network, learned from rendered heads, "
-        "keeps its hidden layers, and its last layer is retrained on each part; TPR and FPR are means "
-        "over the classes that occur. Reflections are included in training.",
-    ]
-    tables = [_split_table(found)]
-    street = _street(settings)
+    people, street = _people(settings), _street(settings)
+    settings.expect(len(SHARES) + (2 if len(people) > 1 else 0) + 2)
+    yield (
+        "Baxter et al. (2014) train the last layer on 80 % of Benfold's heads and 50 % of CAVIAR's, and show "
+        "the confusion as a picture, without numbers in its text. Here the package's network, learned from "
+        "rendered heads, keeps its hidden layers, and its last layer is retrained on each part; TPR and FPR "
+        "are means over the classes that occur. Reflections are included in training."
+    )
+    found = splits(model, people, settings, settings.progress)
+    yield _split_table(found)
     if street is None:
-        notes.append("Town Centre's images were not found (--data): no prediction on them.")
+        yield "Town Centre's images were not found (--data): no prediction on them."
     else:
-        tables += occlusion_tables(street, model, settings.rng(5), quick=settings.quick)
-        notes.append(
+        yield from occlusion_tables(street, model, settings.rng(5), quick=settings.quick)
+        yield (
             "Town Centre: pictures of its first minute, 2.5 a second, heads cut out at the top of the "
             "labelled boxes. Positions of the last two seconds are withheld; heads are "
             "observed there or not. Parameters are fitted on other people than tested, and a last "
             "layer is trained on the direction of travel of a third part. Benfold's head labels are not "
             "among the recordings."
         )
-    progress(1)
+    settings.progress(1)
     if people:
         frames = ", ".join(f"{person.name} {len(person.track)}" for person in people)
-        notes += [
+        yield (
             f"CAVIAR: frames with pixels and labelled heads are at hand for {frames}. Successive frames are "
-            "nearly alike: split one by one, a head's own neighbours are learned from, as Baxter et "
-            "al.'s may have "
-            "been; the other split keeps people apart.",
-            "Fig. 5(b): stretches of a second, predicted with Baxter et al.'s filters and "
-            "parameters, heads at the "
-            "labelled points. Undetected people have no head. baxter-caviar reports what such gains are made "
-            "of.",
-        ]
-        tables += [_people_table(people, model), gains(people, model, settings)]
+            "nearly alike: split one by one, a head's own neighbours are learned from, as Baxter et al.'s "
+            "may have been; the other split keeps people apart."
+        )
+        yield (
+            "Fig. 5(b): stretches of a second, predicted with Baxter et al.'s filters and parameters, heads "
+            "at the labelled points. Undetected people have no head. baxter-caviar reports what such gains "
+            "are made of."
+        )
+        yield _people_table(people, model)
+        yield gains(people, model, settings)
     else:
-        notes.append("CAVIAR's frames were not found (--data): no Fig. 5(b).")
-    progress(1)
-    return Reproduction("baxter-network", tuple(tables), _figure(found, people), tuple(notes))
+        yield "CAVIAR's frames were not found (--data): no Fig. 5(b)."
+    settings.progress(1)
+    yield _figure(found, people)
 
 
 def _street(settings: Settings) -> Path | None:
@@ -350,15 +350,9 @@ def _figure(found: Sequence[Split], people: Sequence[PersonWithHeads]) -> Figure
     return figure
 
 
-def work(settings: Settings) -> int:
-    """Return the number of steps: splits, and the rest."""
-    return len(SHARES) + (2 if len(_people(settings)) > 1 else 0) + 2
-
-
 EXPERIMENT = Experiment(
     "baxter-network",
     "Baxter et al. 2014, Fig. 3 and 5(b): the network's heads, by split and in the tracker",
-    work,
-    run,
     "300 rendered heads and 2 splits",
+    _parts,
 )

@@ -5,7 +5,7 @@ Also rendered and classified poses of motion capture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import TYPE_CHECKING
@@ -25,8 +25,7 @@ from graphtrack.experiments.harness import (
     WALKING,
     Cell,
     Experiment,
-    Progress,
-    Reproduction,
+    Parts,
     Settings,
     Table,
     evenly,
@@ -204,23 +203,8 @@ LEVELS = ("down", "level", "up")
 """Tilt classes, in the order of `PoseClasses`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Outputs of classifiers for images of known poses, in the image frame.
-
-    Attributes
-    ----------
-    body, answered_body : (n,) classes of 45°, true and likeliest
-    pan, answered_pan : (n,) classes of the head's pan
-    tilt, answered_tilt : (n,) its tilt classes, `LEVELS`
-    """
-
-    body: NDArray[np.int64]
-    answered_body: NDArray[np.int64]
-    pan: NDArray[np.int64]
-    answered_pan: NDArray[np.int64]
-    tilt: NDArray[np.int64]
-    answered_tilt: NDArray[np.int64]
+Answers = Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
+"""Classes (n,) of images of known poses, in the image frame, true and likeliest: of body, pan and tilt."""
 
 
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
@@ -270,15 +254,11 @@ def classified(
     n_pan, bodies = head.classes.n_pan, body.classes
     true = head.classes.index(at_head, heads.tilt)
     levels = of_head.reshape(len(track), -1, n_pan)
-    answers = Answers(
-        bodies.index(at_body),
-        of_body.argmax(axis=1),
-        true % n_pan,
-        pans.argmax(axis=1),
-        true // n_pan,
-        np.logaddexp.reduce(levels, axis=2).argmax(axis=1),
-    )
-    return observed, answers
+    return observed, {
+        "body": (bodies.index(at_body), of_body.argmax(axis=1)),
+        "pan": (true % n_pan, pans.argmax(axis=1)),
+        "tilt": (true // n_pan, np.logaddexp.reduce(levels, axis=2).argmax(axis=1)),
+    }
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
@@ -308,32 +288,27 @@ def known_poses(
     return found, answers
 
 
-def confusions(answers: list[Answers], head: PoseClasses) -> tuple[Table, Table, Table]:
-    """Tabulate confusions of body, pan and tilt, in per cent of the true class."""
-
-    def joined(name: str) -> NDArray[np.int64]:
-        return np.concatenate([getattr(one, name) for one in answers])
+def confusions(answers: list[Answers], head: PoseClasses) -> Iterator[Table]:
+    """Yield confusions of body, pan and tilt, in per cent of the true class."""
 
     def degrees(count: int) -> list[str]:
         return [f"{360 * k // count}°" for k in range(count)]
 
-    return (
-        _confusion("body, by `body_pose`", degrees(BODY_CLASSES), joined("body"), joined("answered_body")),
-        _confusion("the head's pan", degrees(head.n_pan), joined("pan"), joined("answered_pan")),
-        _confusion("the head's tilt", list(LEVELS), joined("tilt"), joined("answered_tilt")),
-    )
-
-
-def _confusion(of: str, names: list[str], true: NDArray[np.int64], predicted: NDArray[np.int64]) -> Table:
-    records: list[dict[str, Cell]] = []
-    for k, name in enumerate(names):
-        answered = np.bincount(predicted[true == k], minlength=len(names))
-        pictures = int(answered.sum())
-        row: dict[str, Cell] = {"true": name, "pictures": pictures}
-        for other, count in zip(names, answered.tolist(), strict=True):
-            row[other] = 100.0 * count / pictures if pictures else None
-        records.append(row)
-    return Table.of(f"Confusion in per cent of the true class: {of}", records)
+    for angle, title, names in (
+        ("body", "body, by `body_pose`", degrees(BODY_CLASSES)),
+        ("pan", "the head's pan", degrees(head.n_pan)),
+        ("tilt", "the head's tilt", list(LEVELS)),
+    ):
+        true, predicted = (
+            np.concatenate(each) for each in zip(*(one[angle] for one in answers), strict=True)
+        )
+        records: list[dict[str, Cell]] = []
+        for k, name in enumerate(names):
+            answered = np.bincount(predicted[true == k], minlength=len(names))
+            pictures = int(answered.sum())
+            shares = [100.0 * count / pictures if pictures else None for count in answered.tolist()]
+            records.append({"true": name, "pictures": pictures, **dict(zip(names, shares, strict=True))})
+        yield Table.of(f"Confusion in per cent of the true class: {title}", records)
 
 
 HEADS = ("deep_belief", "templates")
@@ -350,13 +325,14 @@ def _effort(settings: Settings) -> tuple[int, int, tuple[str, ...]]:
     return (1, 8, HEADS[:1]) if settings.quick else (10, 30, HEADS)
 
 
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """Run the experiment."""
+def _parts(settings: Settings) -> Parts:
     count, frames, heads = _effort(settings)
+    everyone = captured_people(settings)
+    settings.expect(count + len(heads) * (count + 1) + len(everyone))
     clips: list[Clip] = []
     for k in range(count):
         clips.append(walking_clip(settings.rng(1, k), steps=frames))
-        progress(1)
+        settings.progress(1)
     found, first = [], None
     for name in heads:
         models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier(name))
@@ -365,44 +341,50 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             people += people_of(clip, models)
             if first is None and people:
                 first = Sheet(clip, list(people))
-            progress(1)
+            settings.progress(1)
         found.append(joint_scores(name, people))
-        progress(1)
+        settings.progress(1)
     assert first is not None
     body, head = load_classifier("body_pose"), load_classifier("templates")
-    everyone = captured_people(settings)
-    posed, answers = known_poses(everyone, body, head, settings.rng(22), progress)
+    posed, answers = known_poses(everyone, body, head, settings.rng(22), settings.progress)
     rng = settings.rng(99)
-    notes = (
+    yield detail("Body and head from class likelihoods", found, GROUPS, rng)
+    yield _effect(found, rng)
+    yield detail(
+        "Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
+        posed,
+        chen_classes.GROUPS,
+        settings.rng(98),
+    )
+    yield from confusions(answers, head.classes)
+    yield published_table(found, GROUPS, PUBLISHED_TITLE)
+    yield _figure(found, first, rng)
+    yield (
         "Rendered people who walk as the model joint has it, three a clip, boxes off as a detector's are, "
-        "heads by the localiser; each column has another classifier of heads, the bodies are the same.",
+        "heads by the localiser; each column has another classifier of heads, the bodies are the same."
+    )
+    yield (
         "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval; "
         "of the particle filter the mean of 3 seeds. Every method has the package's parameters and the same "
         "observations, with causal heads, except for the last smoother, with heads "
-        f"chosen offline. Online estimates use past frames only, with a window of {LAG:g} s in the graphs.",
-        "joint-body is what Chen et al. (2011) call separate (κ₂ = 0 in eq. 10); in separate the "
-        "body does not follow the "
-        "motion either. eq. 12–14: the closest class in the image, at each particle's own position.",
-        "The frames show the longest track of the first clip, as Chen et al. 2011, Fig. 5: "
-        "circles of 50 cm at feet "
-        "(red: body) and head (yellow); thin lines: the likeliest class of the frame alone; arrows: "
+        f"chosen offline. Online estimates use past frames only, with a window of {LAG:g} s in the graphs."
+    )
+    yield (
+        "joint-body is what Chen et al. (2011) call separate (κ₂ = 0 in eq. 10); in separate the body does "
+        "not follow the motion either. eq. 12–14: the closest class in the image, at each particle's own "
+        "position."
+    )
+    yield (
+        "The frames show the longest track of the first clip, as Chen et al. 2011, Fig. 5: circles of 50 cm "
+        "at feet (red: body) and head (yellow); thin lines: the likeliest class of the frame alone; arrows: "
         "estimates; green ticks: the truth. From above, as Fig. 7, enlarged circles: speed (grey, outside), "
-        "body (colour), head (black).",
+        "body (colour), head (black)."
+    )
+    yield (
         "Known poses: motion capture at 10 frames a second, each frame another rendered person in that pose, "
         "classified by body_pose (8 classes) and templates (12 pans × 3 tilts, summed out), in heads boxed "
-        "as the localiser does; errors are independent from frame to frame.",
+        "as the localiser does; errors are independent from frame to frame."
     )
-    details, effect, table_2 = (
-        detail(found, GROUPS, rng),
-        _effect(found, rng),
-        published_table(found, GROUPS, PUBLISHED_TITLE),
-    )
-    of_posed = replace(
-        detail(posed, chen_classes.GROUPS, settings.rng(98)),
-        title="Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
-    )
-    tables = (details, effect, of_posed, *confusions(answers, head.classes), table_2)
-    return Reproduction("chen-pixels", tables, _figure(found, first, rng), notes)
 
 
 def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
@@ -452,16 +434,9 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
     return figure
 
 
-def work(settings: Settings) -> int:
-    """Return the number of steps: clips rendered and observed, estimates, and sources of known poses."""
-    clips, _, heads = _effort(settings)
-    return clips + len(heads) * (clips + 1) + len(captured_people(settings))
-
-
 EXPERIMENT = Experiment(
     "chen-pixels",
     "Chen et al. 2011, Table 2 and Fig. 6–9, from pixels, online methods",
-    work,
-    run,
     "1 clip of 8 frames with at most 3 people",
+    _parts,
 )

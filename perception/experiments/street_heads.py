@@ -24,7 +24,7 @@ from graphtrack.experiments.baxter_occlusion import (
     intentional,
     kalman,
 )
-from graphtrack.experiments.harness import Cell, Table, fit, model_of
+from graphtrack.experiments.harness import Cell, Table, fit, interval_cells, model_of
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration
@@ -292,7 +292,6 @@ def _window_table(squares: Mapping[tuple[str, str, str], Sequence[float]], rng: 
     for (heads, visibility, name), found in squares.items():
         own = np.array(found)
         base = np.array(squares[heads, visibility, CONSTANT])
-        interval = bootstrap(reduction, own, base, rng=rng)
         records.append(
             {
                 "heads": heads,
@@ -300,9 +299,7 @@ def _window_table(squares: Mapping[tuple[str, str, str], Sequence[float]], rng: 
                 "method": name,
                 "people": len(own),
                 "RMSE (m)": float(np.sqrt(own.mean())),
-                "reduction %": 100.0 * interval.value,
-                "low": 100.0 * interval.low,
-                "high": 100.0 * interval.high,
+                **interval_cells("reduction %", bootstrap(reduction, own, base, rng=rng), scale=100.0),
                 "people improved (%)": 100.0 * float((own < base).mean()),
             }
         )

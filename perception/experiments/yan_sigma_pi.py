@@ -8,16 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.evaluation.metrics import bootstrap
-from graphtrack.experiments.harness import (
-    Cell,
-    Experiment,
-    Panel,
-    Progress,
-    Reproduction,
-    Settings,
-    Table,
-    page,
-)
+from graphtrack.experiments.harness import Cell, Experiment, Panel, Parts, Settings, Table
 from graphtrack.tracks.display import counted
 from perception.experiments.sigma_pi_runs import (
     FIXED,
@@ -83,57 +74,54 @@ def _jobs(settings: Settings) -> tuple[list[PersonJob], list[PersonJob]]:
     return drawn, real
 
 
-def work(settings: Settings) -> int:
-    """Return the number of jobs."""
-    return sum(len(jobs) for jobs in _jobs(settings))
-
-
-def run(settings: Settings, progress: Progress) -> Reproduction:
-    """Run the experiment."""
+def _parts(settings: Settings) -> Parts:
     seeds, frames = _effort(settings)
     rooms, people = _jobs(settings)
     jobs = [*rooms, *people]
-    done = run_all(run_job, jobs, progress)
+    settings.expect(len(jobs))
     drawn: dict[str, list[dict[str, Tally]]] = {}
     real: dict[str, list[dict[str, Tally]]] = {}
-    for job, found in zip(jobs, done, strict=True):
+    for job, found in zip(jobs, run_all(run_job, jobs, settings.progress), strict=True):
         (drawn if isinstance(job.sequence, str) else real).setdefault(job.name, []).append(found)
-    notes = [
-        "Success: the person is found and the estimated centre lies in the labelled box. Missing: the person "
-        "is present and not found. Mismatch: found, but the centre is outside the box.",
-        f"Ours are {counted(seeds, 'rendered sequence')} of {frames} frames of each kind, with another room "
-        "and other people for every seed; the tracker starts without a box.",
-        "Motion not adaptive: the reliability of the linear term of motion stays at 1, as Yan et "
-        "al. (2011) have it (§2.2).",
-        "As in the paper: `--as-in-the-paper`, eq. 4 at the last positions, the mean of all particles, 5 % "
-        "anywhere in each step, colour and shape learned in every frame.",
-        "Yan et al. (2011) track a person or a mobile robot (§4) and has figures of the person "
-        "only: the means are "
-        "without the robot.",
-        "Parameters were chosen on rendered sequences of other seeds, none on the real frames.",
-    ]
-    tables = [
-        method_table(drawn, "Rendered sequences: success of each method"),
-        difference_table(drawn, settings.rng(1)),
-    ]
+    successes = [method_table(drawn, "Rendered sequences: success of each method")]
+    differences = difference_table(drawn, settings.rng(1))
+    yield successes[0]
+    yield differences
     if real:
-        notes.append(
-            "Real frames: begun with the first labelled box of each person, all labelled frames count. Local "
-            "features: without the view in that box."
-        )
-        tables.append(method_table(real, "Real frames (CAVIAR): success of each method"))
-    else:
-        notes.append("No recordings were found: rendered sequences only.")
-    share, apart = "success (%)", "difference (points)"
-    panels = [
-        Panel(table.title, table.records(), "sequence", share, "method", ends=("least", "greatest"))
-        for table in (tables[0], *tables[2:])
-    ]
-    panels.append(
-        Panel(tables[1].title, tables[1].records(), "sequence", apart, "ours less", ("low", "high"))
+        successes.append(method_table(real, "Real frames (CAVIAR): success of each method"))
+        yield successes[1]
+    yield _published_table(drawn)
+    for table in successes:
+        ends = ("least", "greatest")
+        yield Panel(table.title, table.records(), "sequence", "success (%)", "method", ends=ends)
+    rows, apart = differences.records(), "difference (points)"
+    yield Panel(differences.title, rows, "sequence", apart, "ours less", ("low", "high"))
+    yield (
+        "Success: the person is found and the estimated centre lies in the labelled box. Missing: the person "
+        "is present and not found. Mismatch: found, but the centre is outside the box."
     )
-    return Reproduction(
-        "yan-sigma-pi", (*tables, _published_table(drawn)), page(panels, columns=1), tuple(notes)
+    yield (
+        f"Ours are {counted(seeds, 'rendered sequence')} of {frames} frames of each kind, with another room "
+        "and other people for every seed; the tracker starts without a box."
+    )
+    yield (
+        "Motion not adaptive: the reliability of the linear term of motion stays at 1, as Yan et "
+        "al. (2011) have it (§2.2)."
+    )
+    yield (
+        "As in the paper: `--as-in-the-paper`, eq. 4 at the last positions, the mean of all particles, 5 % "
+        "anywhere in each step, colour and shape learned in every frame."
+    )
+    yield (
+        "Yan et al. (2011) track a person or a mobile robot (§4) and has figures of the person "
+        "only: the means are without the robot."
+    )
+    yield "Parameters were chosen on rendered sequences of other seeds, none on the real frames."
+    yield (
+        "Real frames: begun with the first labelled box of each person, all labelled frames count. Local "
+        "features: without the view in that box."
+        if real
+        else "No recordings were found: rendered sequences only."
     )
 
 
@@ -238,7 +226,7 @@ def _published_table(runs: Runs) -> Table:
 EXPERIMENT = Experiment(
     "yan-sigma-pi",
     "Yan et al. 2011, Table 1: a person under a ceiling camera, by motion, colour and shape",
-    work,
-    run,
     "1 sequence of 120 frames of each kind",
+    _parts,
+    columns=1,
 )

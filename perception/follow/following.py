@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.io.atomic import atomic_path
+from graphtrack.io.read_write import write_table
 from graphtrack.io.text import parse_number
 from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
@@ -196,9 +196,6 @@ def to_track(
     boxes: BoxCamera,
     pan_classes: PoseClasses | None,
     clock: float | Clock,
-    *,
-    filtered: bool = False,
-    track_id: int = 0,
 ) -> Track:
     """Convert estimates to observations: positions, their spread, and head likelihoods in the world.
 
@@ -209,20 +206,18 @@ def to_track(
     ----------
     pan_classes : of the tracker; None for one without pans
     clock : times of the frames, or frames a second
-    filtered : whether the likelihoods are the tracker's posterior of the pan instead of the single frame's
-        likelihood, which the graph smooths; see `BoxCamera.sighting`
     """
     n = len(found)
     frame = np.array([item.frame for item in found])
     pixel, position = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
     std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
     for k, item in enumerate(found):
-        sighting = boxes.sighting(item.estimate, pan_classes, filtered=filtered) if item.believed else None
+        sighting = boxes.sighting(item.estimate, pan_classes) if item.believed else None
         if sighting is not None:
             pixel[k], position[k], std[k] = sighting.pixel, sighting.position, sighting.position_std
             head[k] = np.nan if sighting.head_likelihood is None else sighting.head_likelihood
     return Track(
-        track_id,
+        0,
         frame,
         seconds(frame, clock),
         position,
@@ -255,10 +250,7 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
     tilts = [item.estimate.tilt if item.estimate.found else None for item in found]
     if any(tilt is not None for tilt in tilts):
         table[TILT_COLUMN] = np.rad2deg(np.array(tilts, float))
-    with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
-        stream.write(",".join(table) + "\n")
-        for row in zip(*(values.tolist() for values in table.values()), strict=True):
-            stream.write(",".join("" if value != value else repr(value) for value in row) + "\n")
+    write_table(table, path)
 
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:

@@ -129,22 +129,17 @@ class BoxCamera:
         """Return the Jacobian (..., 2, 2) of the position in metres by the mark (..., 2) in pixels."""
         return self._nearness * self.camera.pixel_jacobian(mark)
 
-    def sighting(
-        self, estimate: BoxEstimate, pan_classes: PoseClasses | None, *, filtered: bool = False
-    ) -> Sighting | None:
+    def sighting(self, estimate: BoxEstimate, pan_classes: PoseClasses | None) -> Sighting | None:
         """Return a tracker's target on the ground; None if it is not found, or at or beyond the horizon.
 
-        Parameters
-        ----------
-        pan_classes : of the tracker; None for one without pans
-        filtered : whether the likelihoods are the tracker's posterior of the pan, instead of the single
-            frame's likelihood
+        The head has the likelihood of the frame alone, since the graph adds the temporal prior.
+        ``pan_classes`` are those of the tracker; None for one without pans.
         """
         place = self.position(estimate.box)
         if not estimate.found or not np.isfinite(place).all():
             return None
         std = self.position_std(estimate.box, estimate.particles, estimate.weights)
-        pan = estimate.pan if filtered else estimate.pan_likelihood
+        pan = estimate.pan_likelihood
         head = None
         if pan is not None and pan_classes is not None:
             head = self.head_likelihood(pan[None], pan_classes, place[None])[0]

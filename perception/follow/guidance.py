@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from scipy.special import logit
 
+from graphtrack.baselines.kalman import process_noise, transition_matrix
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters, steady
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from perception.follow.ground import BoxCamera
 from perception.images.frames import Clock, seconds
 from perception.pose.classes import PoseClasses

@@ -172,6 +172,9 @@ def _time_stamps(path: Path, rate: float) -> FloatArray | None:
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
 _MOST_BAD = 50  # consecutive undecodable frames after which a video has ended early
 
+Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
+"""Starts a progress report with a total and a unit; yields a function that receives completed counts."""
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -284,6 +287,32 @@ class FrameSource:
             return _from_folder(self.path, wanted)
         return _from_video(self.path, self.count, wanted)
 
+    @contextmanager
+    def reported(
+        self,
+        wanted: Callable[[int], bool],
+        count: int,
+        progress: Progress,
+        *,
+        unit: str = "frames",
+        one_size: bool = False,
+    ) -> Iterator[Iterator[Frame]]:
+        """Yield the wanted frames, ``count`` in number, with a progress report in a unit.
+
+        Parameters
+        ----------
+        one_size : whether a change of the frames' size is an `InputError`
+        """
+        found = of_one_size(self.where(wanted)) if one_size else self.where(wanted)
+        with progress(count, unit) as advance:
+
+            def decoded() -> Iterator[Frame]:
+                for frame in found:
+                    advance(1)
+                    yield frame
+
+            yield decoded()
+
 
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
     """Yield the same frames, checked to have one size.
@@ -382,35 +411,3 @@ def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterat
             yield Frame(failed[0], None, f"the video ends at frame {failed[0]} of {count}")
     finally:
         video.release()
-
-
-Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
-"""Starts a progress report with a total and a unit; yields a function that receives completed counts."""
-
-
-@contextmanager
-def frames_with_progress(
-    frames: FrameSource,
-    wanted: Callable[[int], bool],
-    count: int,
-    progress: Progress,
-    *,
-    unit: str = "frames",
-    one_size: bool = False,
-) -> Iterator[Iterator[Frame]]:
-    """Yield the wanted frames, ``count`` in number.
-
-    Parameters
-    ----------
-    unit : name for ``progress``
-    one_size : whether a change of the frames' size is an `InputError`
-    """
-    found = frames.where(wanted)
-    with progress(count, unit) as advance:
-
-        def reported() -> Iterator[Frame]:
-            for frame in of_one_size(found) if one_size else found:
-                advance(1)
-                yield frame
-
-        yield reported()

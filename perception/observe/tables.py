@@ -14,8 +14,8 @@ from graphtrack.association.associate import associate
 from graphtrack.errors import InputError
 from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
-from graphtrack.inference.result import Solution
 from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
 from graphtrack.model import Model
 from graphtrack.smoothing import solve_tracks

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path, write
 from graphtrack.io.cameras import write_calibration
+from graphtrack.io.read_write import write_table
 from graphtrack.tracks.track import Track, TrackSet
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.pixels import Image, pictures
@@ -165,7 +165,7 @@ def write_head(
         shown = ((image, [box]) for image, box in zip(clip.images, of_frame, strict=True))
         boxes = _write_frames(made, shown, fps, images)
         angles = {"pan_deg": np.rad2deg(clip.pan), "tilt_deg": np.rad2deg(clip.tilt)}
-        _write_table(made / TRUTH, {"frame": range(frames), **angles, "visible": clip.visible})
+        write_table({"frame": np.arange(frames), **angles, "visible": clip.visible}, made / TRUTH)
     return boxes
 
 
@@ -268,12 +268,6 @@ def _write_crops(
             for name, values in labels.items():
                 columns.setdefault(name, []).extend(values.tolist())
             advance(len(images))
-        _write_table(made / LABELS, columns)
+        images = np.array(columns.pop("image"), object)
+        write_table({"image": images} | {k: np.array(v) for k, v in columns.items()}, made / LABELS)
     return []
-
-
-def _write_table(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
-    with path.open("w", encoding="ascii", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(columns)
-        table.writerows(zip(*columns.values(), strict=True))

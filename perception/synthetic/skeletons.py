@@ -8,7 +8,6 @@ people, and their visibility.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -331,12 +330,11 @@ def projected_keypoints(
     camera: Camera,
     furniture: tuple[Furniture, ...],
     rng: np.random.Generator,
-    errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
     """Simulate COCO's points (17, 3) of a person by a pose network, without limbs."""
     pixels, visibility, height = _projected_person(person, camera, furniture)
     points = np.zeros((N_POINTS, 3))
-    points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
+    points[list(USED)] = perceived(pixels[None], visibility[None], height, rng)[0]
     return points
 
 
@@ -355,19 +353,13 @@ def make_rendered_skeletons(
     count: int,
     rng: np.random.Generator,
     size: tuple[float, float] = (30.0, 200.0),
-    *,
-    advance: Callable[[int], None] = lambda count: None,
 ) -> Skeletons:
     """Return skeletons of rendered people, whose hair, hats, bags and arms hide points.
 
     Each is another person in front of another camera; a fifth is partly occluded.
     """
-    rows = []
-    for _ in range(count):
-        rows.append(_one(rng, size))
-        advance(1)
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
-    return Skeletons(*columns)
+    rows = [_one(rng, size) for _ in range(count)]
+    return Skeletons(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _one(

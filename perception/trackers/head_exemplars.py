@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -235,14 +234,7 @@ def _pose_transitions(classes: PoseClasses, pan_std: float, tilt_share: float) -
     return np.asarray(both / both.sum(axis=1, keepdims=True), float)
 
 
-def load_head_exemplars(path: str | Path | None = None, *, plain: bool = False) -> HeadExemplars:
-    """Load the exemplars of the mixed-state tracker, of the package or of a file.
-
-    Parameters
-    ----------
-    plain : whether to load the published form of Ba & Odobez 2003 (`HeadExemplars.plain`)
-    """
-    if path is None:
-        path = model_path(HeadExemplars.kind)
-        path = path.with_name("head_exemplars_as_published.npz") if plain else path
-    return HeadExemplars.load(path)
+def load_head_exemplars(*, plain: bool = False) -> HeadExemplars:
+    """Load the package's exemplars of the mixed-state tracker, or those in the form of Ba & Odobez 2003."""
+    path = model_path(HeadExemplars.kind)
+    return HeadExemplars.load(path.with_name("head_exemplars_as_published.npz") if plain else path)

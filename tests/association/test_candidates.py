@@ -9,16 +9,11 @@ import pytest
 from crossing_people import descriptors_of_people, packed_square, street
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.association import offline
-from graphtrack.association.candidates import (
-    ends_at,
-    gains_of_links,
-    grid_of,
-    match,
-    near_detections,
-    window,
-)
+from graphtrack.association import moves, offline
+from graphtrack.association.candidates import gains_of_links, grid_of, near_detections
 from graphtrack.association.likelihood import GATE
+from graphtrack.association.matching import match
+from graphtrack.association.moves import ends_at
 from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.tracks.detections import APPEARANCE, Detections
 
@@ -45,15 +40,14 @@ def settled() -> Search:
 
 def cuts(search: Search) -> Any:
     for first in search._first[1:].tolist():
-        begin, last = window(search.chains, first, search.packed)
-        yield first, *ends_at(search.chains, begin, first, last)
+        yield first, *ends_at(search.chains, first, search.packed)
 
 
 def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
     chains, scene, rows = settled.chains, settled.packed, settled.chains.rows
     found, near = 0, np.empty(len(rows), np.int64)
-    for first, heads, tails in cuts(settled):
-        grid = grid_of(chains, tails, int(chains.frame[first]))
+    for _, heads, tails in cuts(settled):
+        grid = grid_of(chains, tails, np.arange(len(tails)))
         for k in heads.tolist():
             state, dt = chains.state[k], chains.t[tails] - chains.t[k]
             off = chains.position[tails] - state[:2] - dt[:, None] * state[2:4]
@@ -73,9 +67,9 @@ def test_what_is_outbid_or_hopeless_changes_no_match(settled: Search) -> None:
     chains, scene = settled.chains, settled.packed
     left_out = 0
     for first, heads, tails in cuts(settled):
-        base = int(chains.frame[first])
-        least = np.full(len(tails), -1e9)
-        i, j, gain = gains_of_links(chains, heads, tails, grid_of(chains, tails, base), least, scene)
+        rows, least = np.arange(len(heads)), np.full(len(tails), -1e9)
+        fresh = np.ones(len(heads), bool), np.ones(len(tails), bool)
+        i, j, gain = gains_of_links(chains, heads, heads, tails, fresh, rows, least, scene)
         dense = np.zeros((len(heads), len(tails)))
         dense[i, j] = np.maximum(gain, 0.0)
         row, column = linear_sum_assignment(dense, maximize=True)
@@ -127,3 +121,16 @@ def test_the_match_is_that_of_the_hungarian_method() -> None:
             positive = np.maximum(gains, 0.0)
             best = positive[linear_sum_assignment(positive, maximize=True)].sum()
             assert gains[some, partner[some]].sum() == pytest.approx(best)
+
+
+def test_the_number_of_threads_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    detections = packed_square(np.random.default_rng(4), people=40, frames=40)[0]
+    found = []
+    for threads in (1, 2, 3):
+        monkeypatch.setattr(moves, "processors", lambda threads=threads: threads)
+        monkeypatch.setattr(moves, "_ROWS_OF_A_THREAD", 4)
+        found.append(associate_detections(detections))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.identity, found[0].identity)
+        np.testing.assert_array_equal(other.probability, found[0].probability)
+        assert other.evidence == found[0].evidence

@@ -24,7 +24,7 @@ from graphtrack.model import (
     Parameters,
 )
 from graphtrack.model.model import default_parameters
-from graphtrack.model.terms.gait import BASE, BINS, ROW, gait_of
+from graphtrack.model.terms.couplings import BASE, BINS, ROW, gait_of
 from graphtrack.tracks.track import Track
 
 

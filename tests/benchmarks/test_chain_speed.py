@@ -20,11 +20,11 @@ from costs import build_graph
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
+from graphtrack.baselines.kalman import process_noise, transition_matrix
 from graphtrack.inference import Solution, smooth_track
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.model import Model
 from graphtrack.model.observation import Step, chain
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
 

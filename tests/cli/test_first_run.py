@@ -17,7 +17,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.cli import main
-from graphtrack.inference import warm
+from graphtrack.inference import engines
 from graphtrack.kernels import compilation
 
 ROW = '{"track_id": 1, "frame": 0, "t": 0.0, "x": 0.0, "y": 0.0}\n'
@@ -39,7 +39,7 @@ def cold(tmp_path, monkeypatch):
             clock[0] += 60.0
             logging.getLogger("graphtrack").warning(SAID)
 
-    for module in (compilation, warm):
+    for module in (compilation, engines):
         monkeypatch.setattr(module, "make_ready", make_ready)
     ticks = count()
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0] + 1e-6 * next(ticks))

@@ -12,13 +12,13 @@ from command import run
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import times_ahead
+from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming import session
-from graphtrack.streaming.answers import FrameForecasts
+from graphtrack.streaming.answers import EndedFrames
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
 
@@ -87,7 +87,7 @@ def test_what_is_learned_is_written_and_can_be_used(here, monkeypatch):
 
 
 def test_a_late_row_changes_no_forecast():
-    forecasts = FrameForecasts(times_ahead(0.8, 0.4))
+    forecasts = EndedFrames(None, Forecaster(), times_ahead(0.8, 0.4))
     smoother = OnlineSmoother("position")
     seen = [gt.Observation(t=0.4 * k, frame=k, position=(0.5 * k, 0.0)) for k in (0, 1, 3, 2, 4)]
     told = [forecasts.take(1, one, smoother.update(one)) for one in seen]

@@ -24,11 +24,12 @@ def walker(track_id, n=15):
 
 
 def answers(people, rows):
-    return [people.answer(number, json.dumps(one).encode()) for number, one in enumerate(rows, 1)]
+    return [people.answers(number, json.dumps(one).encode())[-1] for number, one in enumerate(rows, 1)]
 
 
 def answer(line, fps=10.0):
-    return TrackAnswers(smoother, fps).answer(1, line if isinstance(line, bytes) else line.encode())
+    (found,) = TrackAnswers(smoother, fps).answers(1, line if isinstance(line, bytes) else line.encode())
+    return found
 
 
 def test_interleaved_people_do_not_touch_each_other():
@@ -140,7 +141,7 @@ def test_line_numbers_count_blank_and_long_lines(tmp_path):
 def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
     lines = [f'{{"track_id": {2**53 + k}, "frame": 0, "x": 0, "y": 0}}' for k in range(-3, 3)]
     people = TrackAnswers(smoother, 10.0)
-    found = [people.answer(1, line.encode()) for line in lines]
+    found = [people.answers(1, line.encode())[-1] for line in lines]
     known = [one["track_id"] for one in found if "error" not in one]
     assert len(known) == len(set(known)) == len(people.members) >= 2
     assert all(str(one["track_id"]) in line for one, line in zip(found, lines, strict=True) if one in known)

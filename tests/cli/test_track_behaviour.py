@@ -13,19 +13,11 @@ import pytest
 from command import Done, run
 
 import graphtrack as gt
-from graphtrack.forecasting.forecaster import times_ahead
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.people import Place
+from graphtrack.model import Model
 from graphtrack.smoothing import OnlineTracker
-from graphtrack.streaming.answers import (
-    Asked,
-    FrameBehaviour,
-    FrameForecasts,
-    SceneBehaviour,
-    Scenes,
-    TrackAnswers,
-    merged,
-)
+from graphtrack.streaming.answers import Asked, Scenes, TrackAnswers
+from graphtrack.streaming.session import Answers
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]
@@ -42,9 +34,7 @@ def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
 
 
 def people_of(asked: Asked | None = ALL, *, ahead: bool = True) -> TrackAnswers:
-    behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
-    forecasts = FrameForecasts(times_ahead(0.8, 0.4)) if ahead else None
-    return TrackAnswers(lambda: OnlineSmoother("position"), None, lambda note: None, forecasts, behaviour)
+    return Answers(Model("position"), horizon=(0.8, 0.4) if ahead else None, asked=asked).people()
 
 
 def answers(people: Any, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -103,13 +93,6 @@ def test_detections_are_told_with_groups_and_looks() -> None:
         assert {*OF_GROUPS, "attention", "forecast", "identity_p"} <= set(row)
     by_y = {round(row["y"]): row["group"] for row in last}
     assert by_y[0] == by_y[1] >= 0 > by_y[60]
-
-
-def test_rows_about_one_person_become_one() -> None:
-    a = [{"track_id": 1, "frame": 0, "group": 3}, {"track_id": 2, "frame": 0, "group": 3}]
-    b = [{"track_id": 1, "frame": 0, "forecast": []}]
-    assert merged([], b) == b and merged(a, []) == a and merged([], []) == []
-    assert merged(a, b) == [a[0] | b[0], a[1]]
 
 
 def graphtrack(line: str) -> Done:

@@ -104,11 +104,10 @@ def test_what_the_gains_are_made_of() -> None:
     controls = [control for control in CONTROLS if control.name in (*names, "R = (0.07 m)²")]
     walks = [labelled_walk(seed, n=150) for seed in range(2)]
     found = control_gains(walks, 1, lambda c, k: np.random.default_rng([c, k]), controls)
-    assert [one.control for one in found[::2]] == [control.name for control in controls]
-    error = {one.control: float(np.median(one.error)) for one in found if one.method == "consistent"}
-    likelihood = {
-        one.control: float(np.median(one.likelihood)) for one in found if one.method == "consistent"
-    }
+    assert [row["what is changed"] for row in found] == [control.name for control in controls]
+    error, likelihood = (
+        {row["what is changed"]: row[f"consistent: {gain} gain"] for row in found} for gain in ("MSE", "CLL")
+    )
     # The likelihood gains from the prior's narrowness, for any head angle; the error does not.
     assert likelihood["as recorded"] > 1.3
     assert likelihood["head turned around"] > 1.25

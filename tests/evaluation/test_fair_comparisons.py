@@ -10,32 +10,17 @@ from graphtrack.experiments.chen_joint import (
     ANGLES,
     FITTED,
     PAIRS,
-    SHARED,
+    Scores,
     errors_of,
-    fits,
     fitted_models,
-    pair_table,
+    pair_rows,
     parameter_table,
-    shared_values,
-    with_shared,
 )
 from graphtrack.experiments.harness import ISAM2
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks.track import Track
-
-
-def test_shared_parameters_are_set_and_no_others_change() -> None:
-    start = Model("joint")
-    values = {name: 1.7 * value for name, value in shared_values(start).items()}
-    other = with_shared(start, values)
-    assert shared_values(other) == pytest.approx(values)
-    assert with_shared(other, shared_values(start)).parameters == start.parameters
-    for name, own in SHARED.items():
-        one = with_shared(start, {name: values[name]}).parameters
-        assert one.value(own) == pytest.approx(values[name])
-        assert one != start.parameters
 
 
 def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> None:
@@ -55,14 +40,16 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     seen: list[int] = []
     found = fitted_models(tracks, methods, 14, seen.append)
     assert set(found) == {(preset, method) for preset in FITTED for method in methods}
-    assert fits(methods) == 2 * len(FITTED)
     for preset in FITTED:
         assert found[preset, f"graph{ISAM2}"] is found[preset, "graph"]
         before = np.mean([errors_of(smoothed(track, Model(preset)), track) for track in tracks])
         after = np.mean([errors_of(smoothed(track, found[preset, "graph"]), track) for track in tracks])
         assert after < before
     # The paper's separate filtering has no κ₂ to fit.
-    assert shared_values(found["joint-body", "graph"])["κ₂"] == shared_values(Model("joint-body"))["κ₂"]
+    of_head = "coupling.head_body_kappa"
+    assert found["joint-body", "graph"].parameters.value(of_head) == Model("joint-body").parameters.value(
+        of_head
+    )
     rows = parameter_table(found).records()
     assert rows[0]["method"] == "default" and len(rows) == 1 + 2 * len(FITTED)
     assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
@@ -79,7 +66,7 @@ def test_differences_between_methods_are_of_the_same_people() -> None:
         for angle in ANGLES
     }
     fitted = {("joint", name, angle): hard - worth[name] for name in names for angle in ANGLES}
-    for row in pair_table({"people": default}, {"people": fitted}, rng).records():
+    for row in pair_rows([Scores("people", 30, default)], {"people": fitted}, rng):
         first, second = str(row["difference"]).split(" − ")
         expected = worth[first] - worth[second]
         assert row["default (°)"] == pytest.approx(expected, abs=0.15)

@@ -17,8 +17,9 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(gaits, "people", lambda settings: some)
     monkeypatch.setattr(gaits, "DRAWS", 2)
     steps: list[int] = []
-    found = gaits.run(Settings(), steps.append)
-    assert sum(steps) == gaits.work(Settings())
+    expected: list[int] = []
+    found = gaits.EXPERIMENT.run(Settings(), steps.append, expected.append)
+    assert [sum(steps)] == expected
     errors, differences, rivals = (table.records() for table in found.tables)
     assert len(errors) == 2 * len(gaits.ESTIMATORS) * len(gaits.PRESETS)
     rows = {(row["people"], row[""], row["model"]): row for row in errors}
@@ -46,6 +47,6 @@ def test_a_clip_has_the_same_noise_whoever_else_is_there() -> None:
 
 
 def test_without_the_recording_a_line_says_so(tmp_path: Path) -> None:
-    found = gaits.run(Settings(data=tmp_path), lambda count: None)
+    found = gaits.EXPERIMENT.run(Settings(data=tmp_path))
     assert not found.tables and "--data" in found.notes[0]
     assert gaits.people(Settings()) == {}

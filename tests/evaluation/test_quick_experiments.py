@@ -38,7 +38,7 @@ def test_unseen_people_fits_without_each_source(monkeypatch: pytest.MonkeyPatch)
             "10 Hz": strollers(np.random.default_rng([seed, stream]), people=2, seconds=6.0)
         }
 
-    sources = tuple(unseen_people.Source(name, people(k)) for k, name in enumerate(("one", "other")))
+    sources = {name: people(k) for k, name in enumerate(("one", "other"))}
     free = unseen_people.FREE[:2]
     monkeypatch.setattr(unseen_people, "SOURCES", sources)
     monkeypatch.setattr(unseen_people, "FREE", free)

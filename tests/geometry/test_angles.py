@@ -29,13 +29,9 @@ def test_a_wrapped_angle_is_the_same_direction_within_the_interval(angle: float)
     assert_same_direction(wrapped, angle)
 
 
-def test_ends_of_intervals_missing_values_and_weights() -> None:
+def test_ends_of_intervals_and_missing_values() -> None:
     assert angles.wrap(PI) == angles.wrap(-PI) == PI
     assert np.isnan(angles.wrap(np.nan)) and angles.direction([0.0, 0.0]) == 0.0
-    assert angles.circular_mean([np.nan, 1.0, 2.0], [1.0, 1.0, np.nan]) == pytest.approx(1.0)
-    assert np.isnan(angles.circular_mean([np.nan])) and np.isnan(angles.circular_mean([]))
-    weighted, repeated = angles.circular_mean([0.1, 0.9], [3, 1]), angles.circular_mean([0.1] * 3 + [0.9])
-    assert_same_direction(weighted, repeated)
     found = angles.concentration_from_resultant([-0.1, 0.0, 1.0])
     np.testing.assert_array_equal(found[:2], 0.0)
     assert 1e6 < found[2] < np.inf
@@ -51,14 +47,6 @@ def test_the_difference_turns_the_second_into_the_first(a: float, b: float) -> N
 @given(ANGLES)
 def test_direction_and_unit_are_inverse(angle: float) -> None:
     assert_same_direction(float(angles.direction(2.5 * angles.unit(angle))), angle)
-
-
-@given(st.lists(st.floats(-1.4, 1.4), min_size=1, max_size=8), AROUND_HALF_TURNS)
-def test_the_circular_mean_agrees_with_scipy_and_turns(offsets: list[float], turn: float) -> None:
-    mean = angles.circular_mean(offsets)
-    assert_same_direction(mean, stats.circmean(offsets, high=PI, low=-PI))
-    assert_same_direction(angles.circular_mean(np.array(offsets) + turn), mean + turn)
-    assert min(offsets) - 1e-12 <= mean <= max(offsets) + 1e-12
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=8), ANGLES)

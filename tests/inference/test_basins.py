@@ -15,6 +15,7 @@ from graphtrack.inference.chain.basin_search import unwind
 from graphtrack.inference.chain.batch import solve_packed
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import CONVERGED, workspace
+from graphtrack.kernels.layout import Chain
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.simulation.degrade import add_class_likelihoods
@@ -91,9 +92,8 @@ def standing_still(n: int = 60) -> Track:
 
 def proposed(track: Track, states: np.ndarray) -> np.ndarray | None:
     """The start that `unwind` proposes for some states, or None."""
-    problem, memory = problem_of(pack([track], Model("joint"))), workspace(len(track))
-    memory.length[0] = len(track)
-    return memory.again.copy() if unwind(problem, 0, len(track), states, 0.0, memory) else None
+    problem, memory, n = problem_of(pack([track], Model("joint"))), workspace(len(track)), len(track)
+    return memory.again.copy() if unwind(Chain(problem, 0, n, float(n)), states, 0.0, memory) else None
 
 
 @pytest.mark.parametrize("place", [4, 5])

@@ -15,7 +15,7 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import UNIFORM_STD, difference, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
-from graphtrack.inference.result import OfflineEngine
+from graphtrack.inference.engines import OfflineEngine
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,

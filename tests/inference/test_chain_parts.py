@@ -24,24 +24,28 @@ from graphtrack.inference.chain.newton import (
     take_step,
     workspace,
 )
-from graphtrack.inference.chain.window_arrays import memory_in, window_problem
-from graphtrack.inference.chain.window_kernels import carry_over, predict_newest
+from graphtrack.inference.chain.window_kernels import carry_over, memory_in, predict_newest, window_problem
 from graphtrack.inference.offline import smooth_track
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.layout import BODY, HEAD, Problem
+from graphtrack.kernels.layout import BODY, HEAD, Chain, Problem, Sums
 from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, mode_memory, renew_couplings
 from graphtrack.model.observation import observations
 from graphtrack.model.program import add_frame
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.smoothing import track_online
+
+
+def chain_of(problem: Problem, n: int) -> Chain:
+    """The only track of a problem, of n frames."""
+    return Chain(problem, 0, n, float(n))
 
 
 def own_cost(problem: object, state: FloatArray) -> float:
     """Cost of the first frame by itself."""
     vectors, matrices = np.zeros((2, 6)), np.zeros((3, 6, 6))
     ways = True, False, True  # exact, links, own
-    memory = np.zeros((1, 4)), *vectors, *matrices
+    memory = np.zeros((1, 4)), *map(Sums, vectors, matrices[:2]), matrices[2]
     return float(add_frame(problem, 0, 0, state, state[None], *ways, *memory))
 
 
@@ -58,15 +62,14 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
             other = state.copy()
             other[places] += q * np.pi / 2.0
             turned.append(own_cost(problem, state) - own_cost(problem, other))
-    assert greatest_gain(problem, 0, 1, state[None], workspace(1)) == pytest.approx(
-        max(0.0, *turned), abs=1e-9
-    )
+    found = greatest_gain(chain_of(problem, 1), state[None], workspace(1))
+    assert found == pytest.approx(max(0.0, *turned), abs=1e-9)
 
 
 @compiled
-def descend(problem: Problem, n: int, states: FloatArray, steps: int, memory: Workspace) -> None:
-    """`minimise`, which compiled code alone can call, on the only track."""
-    minimise(problem, 0, n, states, steps, 1e-12, memory)
+def descend(chain: Chain, states: FloatArray, steps: int, memory: Workspace) -> None:
+    """`minimise`, which compiled code alone can call."""
+    minimise(chain, states, steps, 1e-12, memory)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -82,7 +85,7 @@ def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
         memory, costs = workspace(n), list[float]()
         for steps in range(8):
             states = start.copy()
-            descend(problem, n, states, steps, memory)
+            descend(chain_of(problem, n), states, steps, memory)
             costs.append(float(memory.ended[COST]))
             assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
         assert (np.diff(costs) <= 0.0).all() and costs[-1] < costs[0]
@@ -131,10 +134,11 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     )
     # The step that the newest frame asks for, and then the modes.
     carry_over(records[end - 1], records[end], gait.head_rate_observed)
-    predict_newest(problem, states[begin:], memory_in(kept, slot.number, begin, workspace(n)))
+    memory = memory_in(kept, slot.number, begin, workspace(n))
+    predict_newest(chain_of(problem, n), states[begin:], memory)
     modes = mode_memory(n)
     modes.before[:] = before
-    renew_couplings(problem, 0, n, float(n), states[begin:], gait, False, True, modes)
+    renew_couplings(chain_of(problem, n), states[begin:], gait, False, True, modes)
     oldest = np.stack([modes.filtered_body[0], modes.filtered_head[0]])
     oldest /= oldest.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(window.modes_before, oldest, rtol=1e-9, atol=1e-15)
@@ -150,7 +154,7 @@ def test_each_coupling_has_its_own_lead() -> None:
         states = np.zeros((n, 6))
         states[:, 2:4] = np.gradient(track.true_position, track.t, axis=0)
         states[:, BODY], states[:, HEAD] = track.true_body, track.true_head
-        renew_couplings(problem, 0, n, float(n), states, gait_of(gait), False, True, mode_memory(n))
+        renew_couplings(chain_of(problem, n), states, gait_of(gait), False, True, mode_memory(n))
         found[leads] = problem.records.copy()
     same, other = found[0.1, 0.1], found[0.1, 0.6]
     np.testing.assert_array_equal(same["motion_body_kappa"], other["motion_body_kappa"])
@@ -170,15 +174,18 @@ def test_the_sweeps_solve_the_chain() -> None:
         dense[6 * k + 6 : 6 * k + 12, 6 * k : 6 * k + 6] = links[k].T
     memory, hessians = workspace(n), [block.copy() for block in blocks]
     for k in range(n - 1):
-        here, there = (hessians[k], np.zeros(6)), (hessians[k + 1], np.zeros(6))
-        assert eliminate(*here, links[k], *there, memory.inverse[k], memory.link[k], memory.solution[k])
+        here, there = (Sums(np.zeros(6), hessians[j]) for j in (k, k + 1))
+        rows = memory.inverse[k], memory.link[k], memory.solution[k]
+        assert eliminate(here, links[k], there, *rows)
     assert invert_cholesky(hessians[-1], memory.inverse[n - 1])
     states, spread = rng.normal(0.0, 1.5, (n, 6)), rng.uniform(0.1, 2.0, (n, 2))
+    problem = problem_of(pack([walk(n)], Model("joint")))
+    problem.shared["speed_threshold"] = 0.1
     for coupling in (BODY_MODE, HEAD_MODE):
         right = np.zeros((n, 6))
         for k in range(n):
             pull_apart(states[k], coupling, spread[k], 0.1, right[k])
-        sweep_pulls(n, states, coupling, spread, 0.1, memory)
+        sweep_pulls(chain_of(problem, n), states, coupling, spread, memory)
         for k in range(n - 1, -1, -1):
             take_step(k, k < n - 1, memory)
         found = -memory.step[:n].ravel()

@@ -17,8 +17,16 @@ from graphtrack.inference.chain.initialisation import pack
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.coupling_modes import AHEAD_BODY, AHEAD_VX, AHEAD_VY, look_ahead, loosened
-from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, angle_information, class_information, gait_of
-from graphtrack.model.terms.intentional_motion import steer
+from graphtrack.model.terms.couplings import (
+    BASE,
+    BINS,
+    NEAR,
+    ROW,
+    angle_information,
+    class_information,
+    gait_of,
+)
+from graphtrack.model.terms.motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.smoothing import solve, track_online
 from graphtrack.tracks.track import Track, TrackSet

@@ -21,8 +21,7 @@ from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window_kernels import condense
 from graphtrack.io import read_identified
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise, occlude, withhold
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrated import seconds_to_ends
 from calibration_formulas import calibrated
 from random_tracks import contradicted, random_parameters, random_track
 from walks import walk
@@ -17,7 +18,6 @@ from graphtrack.inference.chain import batch
 from graphtrack.inference.chain.batch import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack, pack_to_solve
-from graphtrack.inference.result import seconds_to_ends
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import GaitParameters, LikelihoodParameters, Model, MotionParameters, Parameters
 from graphtrack.model.terms.place import PlacePrior

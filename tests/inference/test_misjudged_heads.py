@@ -12,8 +12,8 @@ from graphtrack.geometry.angles import class_centres, class_kappa, difference, m
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, gait_of
-from graphtrack.model.terms.pose import add_class_quarter_turns, add_classes
+from graphtrack.model.terms.couplings import BASE, BINS, NEAR, ROW, gait_of
+from graphtrack.model.terms.orientation import add_class_quarter_turns, add_classes
 from graphtrack.simulation.degrade import add_class_likelihoods, confusion_matrix
 from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet

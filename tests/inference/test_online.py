@@ -18,10 +18,11 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
-from graphtrack.inference.state import marginal_prior, variable_keys
+from graphtrack.inference.state import MarginalPrior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
+from graphtrack.saved import packed
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track
 
@@ -232,17 +233,18 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
 
 def test_a_marginal_prior_owns_its_numbers() -> None:
     """GTSAM's linear term is a view of the factor, invalid after the factor is freed."""
-    step = next(iter(chain(walk(3, seed=1))))
+    step, model = next(iter(chain(walk(3, seed=1)))), Model("position")
     values, linear = gtsam.Values(), np.array([1.0, -2.0])
     values.insert(step.position_key, np.array([3.0, 4.0]))
+    values.insert(step.velocity_key, np.zeros(2))
     factor = gtsam.HessianFactor(step.position_key, 5.0 * np.eye(2), linear, 0.5)
-    prior = marginal_prior(factor, values)
+    prior = MarginalPrior.of(factor, step, values, model)
     assert not np.shares_memory(prior.linear, factor.linearTerm())
-    np.testing.assert_array_equal(prior.linear, linear)
+    np.testing.assert_array_equal(prior.linear, [*linear, 0.0, 0.0, 0.0, 0.0])
     # ½·dᵀ·Λ·d − ηᵀ·d + ½·c, at d = (0.2, 0.1).
-    away = gtsam.Values()
-    away.insert(step.position_key, np.array([3.2, 4.1]))
-    assert prior.factor().error(away) == pytest.approx(0.5 * 5.0 * 0.05 - 0.0 + 0.5 * 0.5)
+    values.update(step.position_key, np.array([3.2, 4.1]))
+    expected = 0.5 * 5.0 * 0.05 - 0.0 + 0.5 * 0.5
+    assert prior.factor(step, model).error(values) == pytest.approx(expected)
 
 
 # Failures.
@@ -401,17 +403,17 @@ def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
     [
         lambda state: state.pop("version"),
         lambda state: state.pop("steps"),
-        lambda state: state["steps"][2].pop("values"),
-        lambda state: state["steps"][2].update(values="many"),
-        lambda state: state["steps"][2].update(values=[1.0, 2.0]),
+        lambda state: state["steps"].pop(),
+        lambda state: state["steps"][2].update(starts="many"),
+        lambda state: state["window"].update(states=packed(np.zeros((2, 6)))),
         lambda state: state["steps"][2]["observation"].update(colour="red"),
-        lambda state: state["prior"].update(information=[[1.0, "x"]]),
-        lambda state: state["prior"].update(information=[[1.0]]),
+        lambda state: state["window"]["prior"].update(information="x"),
+        lambda state: state["window"]["prior"].update(information=packed(np.ones((1, 1)))),
         lambda state: state["last"].pop("covariance"),
         lambda state: state.update(next_index=None),
         lambda state: state["arrays"].pop("search_from"),
-        lambda state: state["arrays"].update(search_from="AAAA"),
-        lambda state: state["arrays"].update(search_from="?"),
+        lambda state: state["arrays"].update(search_from=[[1], "f", "AAAA"]),
+        lambda state: state["arrays"].update(search_from=[[1], "f", "?"]),
     ],
 )
 def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:

@@ -15,10 +15,10 @@ from walks import walk
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother
-from graphtrack.inference.chain.window_arrays import SLOTS, pool_of
+from graphtrack.inference.chain.window import SLOTS, pool_of
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
-from graphtrack.saved import from_text, to_text
+from graphtrack.saved import packed, unpacked
 from graphtrack.streaming.answers import StreamBounds, TrackAnswers
 from graphtrack.tracks.track import Track
 
@@ -136,7 +136,7 @@ def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, sc
         state = through_json(anew.state())
         arrays = state["arrays"]
         if "factored" in arrays:
-            arrays["factored"] = to_text(from_text(arrays["factored"]) + 1.0)  # so far away
+            arrays["factored"] = packed(unpacked(arrays["factored"]) + 1.0)  # so far away
         anew = OnlineSmoother.from_state(state, preset, **options)
         expected = anew.update(observation)
         np.testing.assert_allclose(found.position, expected.position, atol=1e-4)
@@ -231,7 +231,7 @@ def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     for person in (0, 2):
         assert_same(alone[person].update(seen[person]), found[person])
     after = joined[1].state()
-    assert all(after[name] == before[name] for name in ("steps", "prior", "next_index", "last"))
+    assert all(after[name] == before[name] for name in ("steps", "window", "next_index", "last"))
     assert joined[1].update(Observation(0.5, 5, (0.5, 1.0))).status == "new"
 
 

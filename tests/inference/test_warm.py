@@ -13,8 +13,8 @@ from walks import walk
 from graphtrack.baselines import particle_filter as particle
 from graphtrack.errors import InputError
 from graphtrack.forecasting.recorded import forecast
-from graphtrack.inference import OnlineSmoother, SolverOptions, smooth_track, warm
-from graphtrack.inference.warm import make_solver_ready
+from graphtrack.inference import OnlineSmoother, SolverOptions, engines, smooth_track
+from graphtrack.inference.engines import make_solver_ready
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
 from graphtrack.interaction.people import people_at
@@ -63,7 +63,7 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
 def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     """Names of rehearsals that were asked for; nothing is compiled."""
     found: list[tuple[str, ...]] = []
-    for module in (warm, particle):
+    for module in (engines, particle):
         monkeypatch.setattr(
             module, "make_ready", lambda what, *some: found.append((what, *(one.name for one in some)))
         )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.inference.result import with_extreme
+from graphtrack.inference.engines import with_extreme
 
 N = 20
 POSITION = np.column_stack([np.arange(N) * 0.1, np.zeros(N)])
@@ -45,7 +45,7 @@ def test_complex_positions_are_refused_everywhere() -> None:
         smoother.update(gt.Observation(t=0.0, position=np.array([1j, 2.0])))
     n = np.arange(N)
     table = {"track_id": n * 0, "frame": n, "t": n / 10, "x": n * (1 + 1j), "y": n * 0.0}
-    with pytest.raises(gt.InputError, match="complex"):
+    with pytest.raises(gt.InputError, match="column x: found '0j'"):
         gt.smooth(table, "position")
     with pytest.raises(gt.InputError):
         gt.read(table)

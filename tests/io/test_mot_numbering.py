@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -80,7 +81,7 @@ def test_boxes_of_a_recording_come_back(first: int, tmp_path: Path) -> None:
 
 def trackeval_scores(truth: Path, found: Path, n_frames: int, folder: Path) -> tuple[float, float]:
     """HOTA and MOTA by TrackEval itself."""
-    trackeval = pytest.importorskip("trackeval")
+    trackeval = pytest.importorskip("trackeval", reason="pip install --no-deps trackeval==1.3.0")
     (folder / "gt/S/gt").mkdir(parents=True)
     (folder / "found/T/data").mkdir(parents=True)
     (folder / "gt/S/gt/gt.txt").write_bytes(truth.read_bytes())
@@ -105,6 +106,34 @@ def test_trackeval_takes_what_is_written(tmp_path: Path) -> None:
     with pytest.warns(InputWarning):
         gt.write(seen(people(0)), tmp_path / "truth.txt")
     assert trackeval_scores(tmp_path / "truth.txt", tmp_path / "truth.txt", 6, tmp_path) == (1.0, 1.0)
+
+
+def far_people() -> TrackSet:
+    """People beyond x = 2 m, which column 8 would make a class of objects."""
+    tracks = seen(people(0))
+    return tracks.map(lambda one: replace(one, position=one.position + np.array([5.0, 0.0])))
+
+
+def test_boxes_alone_are_written_for_evaluation_in_the_image(tmp_path: Path) -> None:
+    with pytest.warns(InputWarning):
+        gt.write(far_people(), tmp_path / "boxes.2d.txt")
+    with pytest.warns(InputWarning):
+        gt.write(far_people(), tmp_path / "metres.txt")
+    rows, others = (
+        [line.split(",") for line in (tmp_path / name).read_text().splitlines()]
+        for name in ("boxes.2d.txt", "metres.txt")
+    )
+    assert [row[:7] for row in rows] == [row[:7] for row in others]
+    assert {tuple(row[7:]) for row in rows} == {("-1", "-1", "-0")}
+    again = gt.read(tmp_path / "boxes.2d.txt", fps=RATE, camera=far_people().camera)
+    for one, other in zip(again, far_people(), strict=True):
+        np.testing.assert_array_equal(one.frame, other.frame)
+        np.testing.assert_allclose(one.position, other.position, atol=1e-3)
+    with pytest.raises(InputError, match="without a camera"):
+        gt.write(people(1), tmp_path / "none.2d.txt")
+    assert not (tmp_path / "none.2d.txt").exists()
+    files = [tmp_path / "boxes.2d.txt"] * 2
+    assert trackeval_scores(*files, 6, tmp_path) == (1.0, 1.0)
 
 
 def test_time_steps_are_those_that_trackeval_expects(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from hypothesis.extra import numpy as hnp
 from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.formats.native import _header, _read_fast, _read_slowly
+from graphtrack.io.formats import native
 from graphtrack.io.source import Source
+from graphtrack.tracks.cells import numbers
 from graphtrack.tracks.table import arrow_array
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_ID
@@ -122,17 +123,27 @@ CELL = st.one_of(
 def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, str]], end: str) -> None:
     text = end.join(["track_id,x,other", *(f"1,{a},{b}" for a, b in rows)])
     source = Source(Path("table.csv"), text.encode())
-    header = _header(source)
-    fast = _read_fast(source, header)
-    try:
-        slow, lines = _read_slowly(source, header)
-    except InputError:
-        assert fast is None
-        return
-    assert len(lines) == len(rows)
-    if fast is not None:
-        for name in ("track_id", "x"):
-            np.testing.assert_array_equal(fast[name], slow[name])
+
+    def read(small: int) -> np.ndarray | tuple[str, int | None]:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(native, "_SMALL", small)
+            cells = native.read_csv(source)
+        try:
+            assert len(numbers(cells, "track_id")) == len(rows)
+            return numbers(cells, "x")
+        except InputError as error:
+            return error.found, error.line
+
+    np.testing.assert_equal(read(0), read(10**9))
+
+
+def test_the_fast_reader_reads_wide_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "wide.csv"
+    path.write_text("t,a.x,a.y,b.x,b.y\n0,1,2,,\n1,3,4,5,6\n")
+    columns = {"t": "t", "x": "*.x", "y": "*.y"}
+    slow = io.read_identified(path, columns=columns)
+    monkeypatch.setattr(native, "_SMALL", 0)
+    assert_same(slow, io.read_identified(path, columns=columns))
 
 
 def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:

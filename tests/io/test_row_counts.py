@@ -88,6 +88,11 @@ def native_table(folder: Path) -> Read:
     return gt.TrackSet.from_table(table), len(table), 0
 
 
+def frame_of_polars(folder: Path) -> Read:
+    table = gt.to_polars(made_tracks())
+    return gt.read(table), len(table), 0
+
+
 def foreign_table(folder: Path) -> Read:
     table = pd.DataFrame({"who": ["a", "b", "a"], "ms": [0, 0, 40], "px": [0, 99, 4], "py": [0, 9, 0]})
     columns = "id=who,t=ms,x=px,y=py"
@@ -143,6 +148,7 @@ WAYS = {
     "dataset of movement": WayIn(dataset, ("xarray",)),
     "trajectory of PedPy": WayIn(trajectory),
     "native table in memory": WayIn(native_table),
+    "frame of polars": WayIn(frame_of_polars, ("polars",)),
     "foreign table in memory": WayIn(foreign_table),
     "detections in memory": WayIn(detections_as_table),
     "pixels beyond the horizon": WayIn(beyond_the_horizon),

@@ -22,7 +22,7 @@ from graphtrack.model import (
     States,
 )
 from graphtrack.model.parameters import steady
-from graphtrack.model.terms.pose import HeadLikelihood
+from graphtrack.model.terms.orientation import HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.tracks.track import Track, TrackSet
 

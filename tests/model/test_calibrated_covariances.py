@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibrated import calibrated
+from calibrated import calibrated, seconds_to_ends
 from calibration_formulas import calibrated as documented
 from walks import walk
 
+from graphtrack.baselines.kalman import process_noise, transition_matrix
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.inference.chain.batch import solve_packed
 from graphtrack.inference.chain.covariance import (
@@ -19,7 +20,6 @@ from graphtrack.inference.chain.covariance import (
     seconds_behind,
 )
 from graphtrack.inference.chain.initialisation import pack
-from graphtrack.inference.result import seconds_to_ends
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import (
     MotionParameters,
@@ -28,7 +28,6 @@ from graphtrack.model.parameters import (
     steady,
     with_oscillation,
 )
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks.track import Track
 
 STILL, RESTING = steady(Parameters()), np.zeros(2)
@@ -149,10 +148,6 @@ def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() ->
         )
         assert np.linalg.eigvalsh(found).min() > 0.0
         assert np.linalg.eigvalsh((found - least)[:, :4, :4]).min() > -1e-9
-
-
-def test_seconds_to_the_nearer_end() -> None:
-    assert seconds_to_ends(np.array([3.0, 3.5, 5.0, 6.0])).tolist() == [0.0, 0.5, 1.0, 0.0]
 
 
 LASTING = Parameters(

@@ -18,7 +18,6 @@ from graphtrack.kernels.lanes import (
     lane_count,
     lane_of,
     lane_records,
-    lane_rows,
     masked,
     negate,
     only_lane,
@@ -37,7 +36,7 @@ def each(x: FloatArray, found: FloatArray) -> None:
 
 @compiled
 def each_of_lanes(x: FloatArray, found: FloatArray, shape: FloatArray) -> None:
-    lanes, into = lane_array(x), lane_array(found)
+    lanes, into = lane_array(x, 6), lane_array(found, 6)
     for k in range(len(shape)):
         cos, sin = cos_sin(lanes[k])
         into[k, 0], into[k, 1], into[k, 2] = math.exp(lanes[k]), math.log(math.exp(lanes[k])), expm1(lanes[k])
@@ -82,8 +81,8 @@ def straight(x: float) -> float:
 @compiled
 def branch(x: FloatArray, found: FloatArray) -> bool:
     """x where it is more than ½, put into the lanes where it is less than ¾; True if any is more than 1."""
-    lanes = lane_array(x)[0]
-    masked(lane_array(found)[0], lanes < 0.75)[0] = choose(lanes > 0.5, lanes, -1.0)
+    lanes = lane_array(x, 6)[0]
+    masked(lane_array(found, 6)[0], lanes < 0.75)[0] = choose(lanes > 0.5, lanes, -1.0)
     return bool(any_of(lanes > 1.0))
 
 
@@ -103,7 +102,7 @@ def one_float(x: float) -> tuple[int, float, bool]:
 @compiled
 def one_by_one(x: FloatArray, found: FloatArray) -> int:
     """Twice each lane's number into row 1, lane by lane; returns the number of lanes."""
-    lanes, into = lane_array(x)[0], lane_array(found)
+    lanes, into = lane_array(x, 6)[0], lane_array(found, 6)
     for lane in range(lane_count(lanes)):
         masked(into, only_lane(lanes > 0.0, lane))[1] = 2.0 * lane_of(lanes, lane)
     return lane_count(lanes)
@@ -119,7 +118,7 @@ def test_lanes_can_be_taken_and_put_one_by_one() -> None:
 @compiled
 def through_views(matrices: FloatArray, rows: FloatArray, frames: FloatArray, records: np.ndarray) -> None:
     """Copy numbers from one view of lanes into others."""
-    blocks, short, seen = lane_array(matrices), lane_rows(rows, 3), lane_records(frames, records)
+    blocks, short, seen = lane_array(matrices, 6), lane_array(rows, 3), lane_records(frames, records)
     for k in range(2):
         block = blocks[k]
         block[1, 2] = short[k, 0] + seen[k].y
@@ -169,7 +168,7 @@ def holds(x: Any, y: Any) -> Any:
 @compiled
 def compare_lanes(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
     """`holds` of lanes."""
-    lane_array(found)[0] = holds(lane_array(x)[0], lane_array(y)[0])
+    lane_array(found, 6)[0] = holds(lane_array(x, 6)[0], lane_array(y, 6)[0])
 
 
 def test_nothing_compares_with_nan_in_floats_or_lanes() -> None:

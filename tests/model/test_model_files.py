@@ -20,7 +20,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import CouplingParameters, Model, Parameters, presets
 from graphtrack.model.parameters import range_of
-from graphtrack.model.terms.turning import BodyDynamics
+from graphtrack.model.terms.orientation import BodyDynamics
 from graphtrack.streaming.saved_state import settings_of
 
 TABLES = {table.name: getattr(Parameters(), table.name) for table in dataclasses.fields(Parameters)}

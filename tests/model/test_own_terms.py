@@ -20,12 +20,12 @@ from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.initialisation import initial_states, pack
-from graphtrack.inference.chain.window_arrays import FrameRows
+from graphtrack.inference.chain.window import FrameRows
 from graphtrack.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.kernels.layout import N
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
-from graphtrack.model.generator import OF_PRESETS, Program, program_of
+from graphtrack.model.generator import OF_PRESETS, FrameProgram, program_of
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.packing import PackedTracks
@@ -167,14 +167,14 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 
     for kind, said in ((Mistaken, "'precise'"), (Doubled, "motion_information"), (Gateless, "'nowhere'")):
         with pytest.raises(ValueError, match=said):
-            Program([*every_term(), kind], "a test")
+            FrameProgram([*every_term(), kind], "a test").source  # noqa: B018
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
     """A cached frame would keep the first frame's bearing of the window."""
     track = replace(walk(20, seed=2), body=None, head=None, body_kappa=None, head_kappa=None)
     whole, rows = pack([track], MODEL).records, FrameRows(MODEL)
-    rows.make(len(track), np.zeros(2), np.array([0, len(track)]), np.zeros((0, N)))
+    rows.make(len(track), np.zeros(2), np.zeros((N + 2, N)))
     for k, step in enumerate(chain(track)):
         rows.put(k, step)
     assert np.ptp(whole["window_cos"]) > 0.01

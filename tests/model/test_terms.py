@@ -25,7 +25,7 @@ from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.state import values_of
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Sums
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -37,27 +37,26 @@ from graphtrack.model import (
     presets,
     program,
 )
-from graphtrack.model.generator import OF_PRESETS, Program
+from graphtrack.model.generator import OF_PRESETS
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import PlaceParameters, SocialParameters
-from graphtrack.model.terms.anchor import Anchor
-from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.faces_group import FacesGroup
-from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.holds_still import OrientationPersistence
-from graphtrack.model.terms.intentional_motion import IntentionalMotion
-from graphtrack.model.terms.motion import Motion
-from graphtrack.model.terms.place import PlacePrior
-from graphtrack.model.terms.pose import (
+from graphtrack.model.term import filled
+from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion, Motion
+from graphtrack.model.terms.orientation import (
+    Anchor,
+    BodyDynamics,
     BodyLikelihood,
+    HeadDynamics,
     HeadLikelihood,
     highest_log_density,
     mixture_log_density,
 )
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.position import PositionLikelihood
-from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.tracks.track import Track
 
 PI = float(np.pi)
@@ -430,18 +429,18 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
     searched = [kernel for kernel in term.kernels if kernel.orientation]
     for states, track in every_situation(case, 10):
         alone, rows = packed_alone(term, track, CAMERA), rows_of(states)
-        packed = PackedTracks.of([track], CAMERA, [term], OF_PRESETS.types)
+        packed = filled(PackedTracks.of([track], CAMERA, OF_PRESETS.types), [term])
         problem, n = problem_of(packed), len(track)
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
         add_grid_costs(problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"])
-        memory = (np.zeros(6), np.zeros((6, 6)))
+        memory = Sums(np.zeros(6), np.zeros((6, 6)))
         for k in range(n):
             quarters = {"body": np.empty(4), "head": np.empty(4)}
             turns = unit(local[k, BODY:]).ravel()
-            program.set_quarter_turns(problem, 0, k, local[k], turns, False, *memory, *quarters.values())
+            program.set_quarter_turns(problem, 0, k, local[k], turns, False, memory, *quarters.values())
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()
@@ -485,7 +484,7 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = Program(every_term(), "the presets' terms").source
+    source = OF_PRESETS.source
     assert Path(program.__file__).read_text(encoding="utf-8") == source
 
 
@@ -501,7 +500,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
         gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
-        out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
+        out = (*map(Sums, gradients, hessians[:2]), hessians[2])
         start = local[0].copy()
         note_turns(0, local, turns)
         cost = program.add_frame(problem, 0, 1, start, local, True, True, True, turns, *out)

@@ -12,14 +12,12 @@ from blob_tracker import BLOB, SIZE, BlobTracker, blob_image
 from command import Done, run
 
 import graphtrack
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
 from perception.follow.ground import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
-from perception.trackers.registry import TRACKERS, make_tracker
 from perception.trackers.tracker import BoxEstimate
 
 INIT = f"32,50,{BLOB[0]},{BLOB[1]}"
@@ -155,24 +153,6 @@ def test_feet_beyond_the_horizon_are_no_observation(folder: Path, tmp_path: Path
     assert 0 < np.isnan(columns["x"]).sum() - len(HIDDEN) < 39
 
 
-def test_filtered_is_the_trackers_own_distribution(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    follow(folder)
-    by_frame = table(folder)
-    follow(folder, "--head-pose", "filtered")
-    np.testing.assert_allclose(table(folder)["head_p0"], by_frame["head_p0"])  # the same for this tracker
-    step = BlobTracker.step
-
-    def turned(self: BlobTracker, image: np.ndarray, proposal: object = None) -> object:
-        from dataclasses import replace
-
-        estimate = step(self, image, None)
-        return replace(estimate, pan=np.roll(estimate.pan, 6))
-
-    monkeypatch.setattr(BlobTracker, "step", turned)
-    follow(folder, "--head-pose", "filtered")
-    np.testing.assert_allclose(table(folder)["head_p6"], by_frame["head_p0"])
-
-
 def test_guided_the_tracker_hears_of_the_graph_as_long_as_nothing_is_seen(
     folder: Path, blobs: list[BlobTracker]
 ) -> None:
@@ -234,14 +214,12 @@ def test_frames_that_cannot_be_followed_are_one_error(folder: Path, case: str, m
 
 def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTracker]) -> None:
     for arguments in (
-        ("--head-pose", "guess"),
         ("-o", "boxes.parquet"),
         ("-o", "no/such/folder/boxes.csv"),
         ("--render", "film.mkv"),
         ("--render", "no/such/folder/film.mp4"),
         ("--foot-at", "99"),
         ("--middle-at", "1"),
-        ("--colour-rate", "0.1", "--tracker", "sigma-pi"),
         ("--background", folder),
     ):
         done = follow(folder, *arguments)
@@ -253,25 +231,6 @@ def test_without_a_box_only_some_trackers_begin(folder: Path) -> None:
     for name in ("color", "mixed-state"):
         done = run("follow", folder, "--tracker", name, "-o", folder.parent / "boxes.csv")
         assert done.returncode == 2 and "no target in the first frame" in done.stderr
-
-
-def test_unknown_trackers_and_too_few_particles_are_refused() -> None:
-    with pytest.raises(InputError, match="sigma-pi"):
-        make_tracker("magic")
-    for name in TRACKERS:
-        with pytest.raises(InputError, match="at least 2"):
-            make_tracker(name, particles=1)
-
-
-def test_all_trackers_take_and_refuse_the_same_first_boxes() -> None:
-    image = np.random.default_rng(0).integers(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
-    thin, beside, nowhere = (60.0, 40.0, 1.5, 30.0), (150.0, 40.0, 24.0, 30.0), (900.0, 40.0, 24.0, 30.0)
-    for name in TRACKERS:
-        for box in (thin, beside, nowhere, (60.0, 40.0, 0.0, 30.0)):
-            with pytest.raises(InputError, match="no target in the first frame: a box"):
-                make_tracker(name, particles=2).start(image, box)
-        estimate = make_tracker(name, particles=17, seed=1).start(image, (60.0, 40.0, 24.0, 30.0))
-        assert estimate.particles.shape == (17, 4) and estimate.weights.sum() == pytest.approx(1.0)
 
 
 # -- boxes on the ground -----------------------------------------------------------------------------------

@@ -111,15 +111,3 @@ def test_a_background_is_read_before_the_work(rooms: dict[str, Path], tmp_path: 
         done = follow(rooms["robot"], output, *given)
         assert done.returncode == 2 and message in done.stderr, done.stderr
         assert not output.exists()
-
-
-def test_who_comes_into_the_room_can_be_chosen(rooms: dict[str, Path], tmp_path: Path) -> None:
-    person, robot = (rooms[name] / "boxes.txt" for name in ("person", "robot"))
-    assert person.read_bytes() != robot.read_bytes()
-    for arguments, message in (
-        (("ceiling", "--target", "dog"), "one of person, robot"),
-        (("street", "--target", "robot"), "--target with street"),
-    ):
-        done = run("simulate", *arguments, "-o", tmp_path / "x", "--frames", 40)
-        assert done.returncode == 2 and message in done.stderr
-        assert not (tmp_path / "x").exists()

@@ -20,12 +20,12 @@ from perception.detection.boxes import (
     PersonBox,
     box_of,
     boxes_of,
-    found_by_frame,
     with_keypoints,
     write_boxes,
 )
+from perception.detection.keypoint_files import read_keypoints
 from perception.pose.classes import PoseClasses
-from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED, PersonPoints, read_keypoints
+from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED
 from perception.synthetic import Camera, Person
 from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.skeletons import joint_visibility, joints_of
@@ -130,21 +130,22 @@ WRITERS = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_says_the_same(tmp_path: Path, name: str) -> None:
     found = read_keypoints(WRITERS[name](tmp_path))
-    assert [person.frame for person in found] == [k for k in range(FRAMES) for _ in range(2)]
-    expected = [one for group in PEOPLE.values() for one in group]
-    for person, (points, box) in zip(found, expected, strict=True):
-        np.testing.assert_allclose(person.points, points, atol=1e-6)
+    assert list(found) == list(PEOPLE)
+    for frame, people in found.items():
+        points, boxes = zip(*PEOPLE[frame], strict=True)
+        np.testing.assert_allclose(people.points, points, atol=1e-6)
         if "openpose" not in name:
-            np.testing.assert_allclose(person.box, box, atol=1e-6)
-            assert person.score == pytest.approx(0.9)
+            np.testing.assert_allclose(people.boxes, boxes, atol=1e-6)
+            np.testing.assert_allclose(people.scores, 0.9)
         else:
-            assert np.isnan(person.box).all() and 0.5 < person.score < 0.9
+            assert np.isnan(people.boxes).all()
+            assert ((people.scores > 0.5) & (people.scores < 0.9)).all()
 
 
 def test_names_of_images_say_their_frames(tmp_path: Path) -> None:
     path = as_annotations(tmp_path / "k.json")
     frames = {f"{k:06d}": 50 - k for k in PEOPLE}
-    assert sorted({person.frame for person in read_keypoints(path, frames.get)}) == [47, 48, 49, 50]
+    assert list(read_keypoints(path, frames.get)) == [47, 48, 49, 50]
 
 
 def test_annotated_visibilities_are_no_confidences_of_2(tmp_path: Path) -> None:
@@ -152,10 +153,10 @@ def test_annotated_visibilities_are_no_confidences_of_2(tmp_path: Path) -> None:
     points = np.zeros((17, 3))
     points[:, :2], points[:3, 2] = 5.0, (2, 1, 0)
     path.write_text(json.dumps([{"image_id": 3, "keypoints": points.ravel().tolist()}]))
-    np.testing.assert_allclose(read_keypoints(path)[0].points[:3, 2], [1.0, 0.5, 0.0])
+    np.testing.assert_allclose(read_keypoints(path)[3].points[0, :3, 2], [1.0, 0.5, 0.0])
     points[:2, 2] = 3.7, 0.4  # scores as of heat maps
     path.write_text(json.dumps([{"image_id": 3, "keypoints": points.ravel().tolist()}]))
-    np.testing.assert_allclose(read_keypoints(path)[0].points[:3, 2], [1.0, 0.4, 0.0])
+    np.testing.assert_allclose(read_keypoints(path)[3].points[0, :3, 2], [1.0, 0.4, 0.0])
 
 
 ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
@@ -206,10 +207,10 @@ def test_points_of_other_names_and_empty_folders_are_refused(tmp_path: Path) -> 
 
 def test_everybody_has_their_own_points() -> None:
     """Boxes in any order; unmatched boxes have no keypoints, and no keypoints are used twice."""
-    nowhere = np.full(4, np.nan)
-    found = found_by_frame(
-        PersonPoints(k, points, nowhere, 1.0) for k, group in PEOPLE.items() for points, _ in group
-    )
+    found = {
+        k: Detections(np.full((2, 4), np.nan), np.ones(2), np.array([points for points, _ in group]))
+        for k, group in PEOPLE.items()
+    }
     boxes = [
         PersonBox(k, which + 1, PEOPLE[k][which][1]) for k in reversed(range(FRAMES)) for which in (1, 0)
     ]

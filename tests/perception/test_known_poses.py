@@ -6,7 +6,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.simulation.sampling import simulate
-from perception.experiments.chen_pixels import LEVELS, Answers, classified, confusions
+from perception.experiments.chen_pixels import LEVELS, classified, confusions
 from perception.pose.classes import PoseClasses
 
 
@@ -36,14 +36,14 @@ def test_right_answers_of_the_image_are_right_in_the_world() -> None:
         # Half a class of the image, and half a one of the world.
         assert np.abs(difference(said, getattr(track, f"true_{angle}"))).max() < 2.1 * np.pi / count
         assert getattr(seen, angle) is None
-    np.testing.assert_array_equal(answers.answered_body, answers.body)
-    np.testing.assert_array_equal(answers.answered_pan, answers.pan)
-    assert set(answers.answered_tilt) == {LEVELS.index("down")}
+    for angle in ("body", "pan"):
+        np.testing.assert_array_equal(*answers[angle])
+    assert set(answers["tilt"][1]) == {LEVELS.index("down")}
 
 
 def test_a_confusion_is_in_per_cent_of_what_was_true() -> None:
     zero, one = np.zeros(4, int), np.array([0, 0, 0, 1])
-    made = Answers(zero, np.array([0, 0, 4, 4]), one, zero, one, one)
+    made = {"body": (zero, np.array([0, 0, 4, 4])), "pan": (one, zero), "tilt": (one, one)}
     body, pan, tilt = (table.records() for table in confusions([made, made], PoseClasses.circle(12, 3)))
     assert body[0] == {"true": "0°", "pictures": 8, **{f"{45 * k}°": 50.0 * (k in (0, 4)) for k in range(8)}}
     assert body[1]["pictures"] == 0 and body[1]["0°"] is None

@@ -110,7 +110,7 @@ def test_heads_of_caviar_stand_for_the_labelled_ones(people: list[PersonWithHead
 def test_the_experiment_without_recordings_has_the_splits_alone() -> None:
     found = EXPERIMENT.run(Settings(quick=True), lambda count: None)
     assert [row["split"] for row in found.tables[0].records()] == ["80:20", "50:50"]
-    assert any("not there" in note for note in found.notes)
+    assert any("not found" in note for note in found.notes)
 
 
 @pytest.mark.slow

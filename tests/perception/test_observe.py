@@ -369,7 +369,6 @@ def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Pat
         (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes with --boxes"),
         (["--homography", "h.txt", "--calibration", "h.txt"], "o.csv", "--homography and --calibration"),
         (["--boxes", "det.txt"], "o.txt", "detections without identities"),
-        (["--whole-track"], "-", "--whole-track with -o -"),
         (["--render", "seen.mp4"], "-", "--render with -o -"),
         (["--write-boxes", "b.txt"], "-", "--write-boxes with -o -"),
     ],

@@ -24,7 +24,8 @@ from perception.adaptation import learning
 from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
-from perception.drawing.people import ShownPerson, draw_tracked
+from perception.drawing.overlays import Interval
+from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import FrameSource
 from perception.observe import pipeline
 from perception.observe.tables import METHODS, associated, estimated, numbered
@@ -276,17 +277,17 @@ def test_arrows_and_sectors_are_drawn_about_the_person_alone(street: PastedStree
     foot = camera.ground_to_image([0.0, 0.0])
     box = np.array([foot[0] - 20.0, foot[1] - 100.0, 40.0, 100.0])
     path = camera.ground_to_image([[-0.5, 0.0], [0.0, 0.0]])
-    person = ShownPerson(3, box, True, np.zeros(2), 0.5, 0.2, 1.0, 0.4, path)
-    bare = draw_tracked(image, "", [], camera)
-    drawn = draw_tracked(image, "", [person], camera)
+    person = DrawnPerson(3, box, np.zeros(2), Interval(0.5, 0.2), Interval(1.0, 0.4), path=path)
+    bare = draw_people(image, "", [], camera)
+    drawn = draw_people(image, "", [person], camera)
     rows, columns = np.nonzero((drawn != bare).any(axis=2))
     assert rows.min() > box[1] - 30 and rows.max() < foot[1] + 80
     assert columns.min() > foot[0] - 120 and columns.max() < foot[0] + 120
-    wide = draw_tracked(image, "", [replace(person, body_std=2.0)], camera)
-    hidden = draw_tracked(image, "", [replace(person, visible=False)], camera)
+    wide = draw_people(image, "", [replace(person, body=Interval(0.5, 2.0))], camera)
+    hidden = draw_people(image, "", [replace(person, visible=False)], camera)
     assert (wide != drawn).any() and (hidden != drawn).any()
-    unknown = replace(person, body=np.nan, body_std=np.nan, head=np.nan, head_std=np.nan)
-    assert (draw_tracked(image, "", [unknown], camera) != bare).any()
+    unknown = replace(person, body=None, head=None)
+    assert (draw_people(image, "", [unknown], camera) != bare).any()
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration, read_homography
 from perception.detection.boxes import read_boxes
+from perception.detection.keypoint_files import read_keypoints
 from perception.images.frames import FrameSource
 from perception.pose.classes import PoseClasses
-from perception.pose.keypoints import read_keypoints
 
 QUICK = {"street": "--people 2 --frames 4", "ceiling": "--frames 30", "head": "--frames 6"}
 
@@ -56,10 +56,11 @@ def test_keypoints_of_a_street_are_within_its_boxes_and_say_where_people_point(
     street: Path, tmp_path: Path
 ) -> None:
     people, boxes = read_keypoints(street / "keypoints.json"), read_boxes(street / "boxes.txt")
-    assert [person.frame for person in people] == [item.frame for item in boxes]
-    for person, item in zip(people, boxes, strict=True):
+    assert [frame for frame, of in people.items() for _ in of.scores] == [item.frame for item in boxes]
+    every = np.concatenate([of_frame.points for of_frame in people.values()])
+    for points, item in zip(every, boxes, strict=True):
         left, top, width, height = item.box
-        sure = person.points[person.points[:, 2] > 0.3, :2]
+        sure = points[points[:, 2] > 0.3, :2]
         inside = np.abs(sure - (left + width / 2.0, top + height / 2.0)) < 0.75 * np.array([width, height])
         assert len(sure) > 2 and inside.all(axis=1).mean() > 0.8
     options = ["--keypoints", street / "keypoints.json", "--boxes", street / "boxes.txt"]
@@ -144,6 +145,8 @@ def test_what_cannot_be_rendered_is_one_line(tmp_path: Path) -> None:
         "at least 30": ("ceiling", "--frames", 5),
         "--frames": ("street", "--frames", 1),
         "--seed": ("street", "--seed", -1),
+        "one of person, robot": ("ceiling", "--target", "dog", "--frames", 40),
+        "--target with street": ("street", "--target", "robot"),
     }
     for message, arguments in cases.items():
         done = run("simulate", *arguments, "-o", tmp_path / "out")

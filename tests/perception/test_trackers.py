@@ -146,8 +146,9 @@ def test_a_target_that_is_gone_is_not_found(name: str, colour: tuple[int, int, i
 @pytest.mark.parametrize("name", MAKE)
 def test_what_cannot_be_used_is_refused(name: str, clip: HeadClip) -> None:
     image, box = clip.images[0], tuple(clip.boxes[0])
-    for bad in ((0.0, 0.0, 0.0, 5.0), (500.0, 10.0, 20.0, 20.0), (float("nan"), 0.0, 9.0, 9.0)):
-        with pytest.raises(InputError, match="box"):
+    thin, beside, nowhere = (60.0, 40.0, 1.5, 30.0), (315.0, 40.0, 24.0, 30.0), (500.0, 10.0, 20.0, 20.0)
+    for bad in (thin, beside, nowhere, (0.0, 0.0, 0.0, 5.0), (float("nan"), 0.0, 9.0, 9.0)):
+        with pytest.raises(InputError, match="no target in the first frame: a box"):
             MAKE[name](seed=0).start(image, bad)
     tracker = MAKE[name](seed=0, particles=10)
     tracker.start(image, box)

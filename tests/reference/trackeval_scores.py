@@ -1,8 +1,8 @@
 """TrackEval's figures for the scenes of the tests.
 
 ``python tests/reference/trackeval_scores.py`` writes ``trackeval_scores.json`` next to this file; it needs
-``pip install trackeval==1.3.0``, best in an environment of its own. TrackEval is no dependency of the tests:
-it brings opencv-python, which takes the place of the opencv-python-headless that the package needs.
+``pip install --no-deps trackeval==1.3.0``, as in the Makefile: opencv-python, for which TrackEval asks, would
+take the place of the opencv-python-headless that the package needs.
 """
 
 from __future__ import annotations

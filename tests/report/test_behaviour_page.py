@@ -17,7 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.interaction.attention import attention_columns
 from graphtrack.interaction.tables import read_attention, read_group_table
-from graphtrack.io.groups import write_columns
+from graphtrack.io.read_write import write_table
 from graphtrack.report.content import DataTable
 from graphtrack.report.html import packed, render_report
 from graphtrack.report.interaction import behaviour_of, by_main_group, group_spans
@@ -128,7 +128,7 @@ def test_the_order_of_a_table_is_without_effect(report, tracks, tmp_path):
     }
     for name, columns in named.items():
         order = rng.permutation(len(columns["frame"]))
-        write_columns({key: values[order] for key, values in columns.items()}, tmp_path / f"{name}.csv")
+        write_table({key: values[order] for key, values in columns.items()}, tmp_path / f"{name}.csv")
     files = {name: tmp_path / f"{name}.csv" for name in named}
     again = tracking_report(tracks, behaviour=behaviour_of(tracks, places=[BAR, SCREEN], **files))
     assert again.replay == report.replay
@@ -138,18 +138,18 @@ def test_the_order_of_a_table_is_without_effect(report, tracks, tmp_path):
 
 def test_tables_are_read_as_they_were_written(tracks, tmp_path):
     groups, looks = grouped(tracks), looking(tracks, (BAR,))
-    write_columns(groups.columns(), tmp_path / "groups.csv")
+    write_table(groups.columns(), tmp_path / "groups.csv")
     back = read_group_table(tmp_path / "groups.csv").columns()
     for name, values in groups.columns().items():
         np.testing.assert_array_equal(back[name], values)
-    write_columns(attention_columns(looks), tmp_path / "looks.csv")
+    write_table(attention_columns(looks), tmp_path / "looks.csv")
     columns = attention_columns(read_attention(tmp_path / "looks.csv"))
     pd.testing.assert_frame_equal(pd.DataFrame(columns), pd.DataFrame(attention_columns(looks)))
 
 
 def test_forecasts_without_frames_are_found_by_their_times(tracks, tmp_path):
     made = forecast(tracks)
-    write_columns({k: v for k, v in made.columns.items() if k != "frame"}, tmp_path / "forecast.csv")
+    write_table({k: v for k, v in made.columns.items() if k != "frame"}, tmp_path / "forecast.csv")
     found = behaviour_of(tracks, forecast=tmp_path / "forecast.csv").forecasts["frame"]
     np.testing.assert_array_equal(found, made.columns["frame"])
 
@@ -373,9 +373,9 @@ def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
 def here(tracks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     gt.write(tracks, "tracks.csv")
-    write_columns(grouped(tracks).columns(), "groups.csv")
-    write_columns(attention_columns(looking(tracks, (BAR,))), "attention.csv")
-    write_columns(forecast(tracks).columns, "forecast.csv")
+    write_table(grouped(tracks).columns(), "groups.csv")
+    write_table(attention_columns(looking(tracks, (BAR,))), "attention.csv")
+    write_table(forecast(tracks).columns, "forecast.csv")
     (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,4,3,0.5\n")
     return tmp_path
 

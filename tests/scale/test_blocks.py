@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command import run
 from crossing_people import idf1, packed_square
 
 import graphtrack as gt
@@ -92,4 +93,69 @@ def test_rows_that_are_not_in_the_order_of_time_are_one_error(seen: Seen, tmp_pa
     table.drop(columns="t").to_parquet(tmp_path / "timeless.parquet", index=False)
     with pytest.raises(gt.InputError, match="no column t"):
         associate_dataset(tmp_path / "timeless.parquet", tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()
+
+
+def test_the_command_associates_and_smooths_what_has_no_identities(
+    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _ = seen
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
+    model, output = tmp_path / "model.toml", tmp_path / "smoothed.parquet"
+    gt.Model("position", scene=KNOWN).save(model)
+    options = ("-o", output, "--model", model, "--batch-frames", 400)
+    done = run("smooth", folder, *options, program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    outcome = associate_dataset(folder, tmp_path / "found.parquet", KNOWN, block_rows=400)
+    detections, blocks = f"{outcome.n_detections} detections", f"{outcome.blocks} blocks"
+    assert f"associated {detections} in {blocks}: {outcome.people} tracks" in done.stdout + done.stderr
+    gt.scale.smooth_dataset(tmp_path / "found.parquet", tmp_path / "expected.parquet", gt.Model("position"))
+    assert output.read_bytes() == (tmp_path / "expected.parquet").read_bytes()
+    # Nothing else is left behind.
+    names = {"model.toml", "smoothed.parquet", "found.parquet", "expected.parquet"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_times_from_a_frame_rate(seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, _ = seen
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
+    whole = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
+    whole.drop(columns="t").to_parquet(tmp_path / "timeless.parquet", index=False)
+    # Overlaps that are no multiple of a frame, whose rounding would count.
+    options, scene = gt.ReadOptions(fps=5.0), {"longest_gap": 1.05}
+    found, expected = tmp_path / "found.parquet", tmp_path / "expected.parquet"
+    ours = associate_dataset(
+        tmp_path / "timeless.parquet", found, scene, block_rows=400, read_options=options
+    )
+    theirs = associate_dataset(folder, expected, scene, block_rows=400)
+    assert ours == theirs and ours.n_detections == len(whole) and ours.blocks >= 5
+    np.testing.assert_array_equal(pd.read_parquet(found).track_id, pd.read_parquet(expected).track_id)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--associate", "repair"], "--associate repair when streaming"),
+        (["--associate", "never"], "no such column"),
+        (["--select", "1"], "--select for rows without identities"),
+    ],
+)
+def test_what_cannot_be_streamed_is_one_error(
+    seen: Seen, tmp_path: Path, options: list[str], message: str
+) -> None:
+    folder, _ = seen
+    done = run("smooth", folder, "-o", tmp_path / "out.parquet", *options, program="graphtrack")
+    assert done.returncode == 2 and message in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bad_cell_is_named_by_its_file_and_row(seen: Seen, tmp_path: Path) -> None:
+    folder, _ = seen
+    parts = [pd.read_parquet(path) for path in sorted(folder.iterdir())]
+    parts[1].loc[parts[1].index[7], "frame"] = np.nan
+    (tmp_path / "in").mkdir()
+    for k, part in enumerate(parts):
+        part.to_parquet(tmp_path / "in" / f"{k}.parquet", index=False)
+    done = run("smooth", tmp_path / "in", "-o", tmp_path / "out.parquet", program="graphtrack")
+    assert done.returncode == 2 and "1.parquet, line 8, column frame" in done.stderr
     assert not (tmp_path / "out.parquet").exists()

@@ -211,7 +211,7 @@ def test_what_is_not_a_data_set(table, tmp_path):
     refused(tmp_path / "none.parquet", "no rows")
     text = table.assign(x="here")
     text.to_parquet(tmp_path / "text.parquet", index=False)
-    refused(tmp_path / "text.parquet", "values of type")
+    refused(tmp_path / "text.parquet", "column x: found .here., expected a finite number")
     table.assign(t=pd.to_datetime(table.t, unit="s", utc=True)).to_parquet(tmp_path / "dates.parquet")
     refused(tmp_path / "dates.parquet", "--no-stream")
     assert not (tmp_path / "out.parquet").exists()

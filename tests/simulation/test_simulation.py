@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from graphtrack import InputError
+from graphtrack.baselines.kalman import process_noise, transition_matrix
 from graphtrack.geometry.angles import difference, direction, mean_resultant_length
 from graphtrack.model import Model, MotionParameters, Parameters
-from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.simulation.motion import sample_positions, sample_velocity
 from graphtrack.simulation.sampling import simulate
 from graphtrack.simulation.scenario import scenario

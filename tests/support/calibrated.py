@@ -8,6 +8,11 @@ from graphtrack.inference.chain.covariance import calibrate, calibration_of
 from graphtrack.model import Parameters
 
 
+def seconds_to_ends(t: np.ndarray) -> np.ndarray:
+    """Seconds (n,) from the frames of a track at the times (n,) to its nearer end."""
+    return np.asarray(np.minimum(t - t[0], t[-1] - t))
+
+
 def calibrated(
     covariance: np.ndarray, velocity: np.ndarray, parameters: Parameters, ends: np.ndarray | float = 0.0
 ) -> np.ndarray:

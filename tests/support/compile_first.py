@@ -23,7 +23,7 @@ def others() -> None:
     from documents import run_line
 
     from graphtrack.baselines.particle_filter import particle_smoother
-    from graphtrack.inference.warm import TRACK
+    from graphtrack.inference.engines import TRACK
 
     particle_smoother(TRACK)
     gt.track_online(TRACK, "joint", engine="isam2")

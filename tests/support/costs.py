@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
+from calibrated import seconds_to_ends
 from calibration_formulas import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import window_graph
-from graphtrack.inference.result import seconds_to_ends
 from graphtrack.inference.state import Window, values_of
 from graphtrack.model import Model, States, Step
 from graphtrack.tracks.track import Track
@@ -20,7 +20,7 @@ def build_graph(
     steps: Sequence[Step], model: Model, states: States
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """The factor graph of a whole track, without coupling modes, and states as its values."""
-    window = Window(tuple(steps), {}, None, (float(states.body[0]), float(states.head[0])))
+    window = Window(tuple(steps), np.zeros((0, 6)), None, (float(states.body[0]), float(states.head[0])))
     columns = np.column_stack([states.position, states.velocity, states.body, states.head])
     return window_graph(window, model, None), values_of(steps, columns, model)
 

@@ -10,13 +10,14 @@ from graphtrack.geometry.angles import class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD, Kernel
 from graphtrack.model import States, Term
-from graphtrack.model.packing import PackedTracks, RecordTypes
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.term import filled, types_of
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
 def packed_alone(term: Term, track: Track, camera: GroundCamera | None = None) -> PackedTracks:
     """A track packed by one term."""
-    return PackedTracks.of([track], camera, [term], RecordTypes.of([term]))
+    return filled(PackedTracks.of([track], camera, types_of([term])), [term])
 
 
 def rows_of(states: States) -> np.ndarray:

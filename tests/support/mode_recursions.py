@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from graphtrack.model.coupling_modes import Following, ModeMemory, filter_modes, mode_memory, smooth_modes
-from graphtrack.model.terms.gait import BASE, BINS, Modes
+from graphtrack.model.terms.couplings import BASE, BINS, Modes
 
 
 def forward(

@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.newton import Workspace, as_variable, copy_rows, note_turns
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, N, Problem
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums
 from graphtrack.model.generator import set_quarter_turns
 
 Single = NDArray[np.float32]
@@ -37,19 +37,18 @@ a descent, and at its end."""
 
 
 @compiled
-def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
+def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> Any:
     """Upper bound of the gain of a stretch of frames by quarter turns of body, head or both."""
-    scratch, turns = workspace.scratch, workspace.trigonometry
-    body, head, gain = scratch[0, 0], scratch[0, 1], scratch[1]
-    greatest, curved = 0.0 * workspace.length[0], as_variable(False)
+    problem, track, scratch, turns = chain.problem, chain.track, workspace.scratch, workspace.trigonometry
+    body, head, gain, sums = scratch[0, 0], scratch[0, 1], scratch[1], Sums(scratch[0, 2], scratch[2])
+    greatest, curved = 0.0 * chain.length, as_variable(False)
     for way in range(3):
         for q in range(1, 4):
             gain[way, q] = greatest
-    for k in range(n):
+    for k in range(chain.n):
         note_turns(k, states, turns)
         body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
-        gradient, hessian = scratch[0, 2], scratch[2]
-        set_quarter_turns(problem, track, k, states[k], turns[k], curved, gradient, hessian, body, head)
+        set_quarter_turns(problem, track, k, states[k], turns[k], curved, sums, body, head)
         # The cosine of head minus body after a quarter turn of the head, or of the body.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
@@ -163,15 +162,13 @@ def add_grid_costs(
     head: FloatArray,
 ) -> None:
     """Add costs of frames at each direction of a grid to the rows (groups, bins) of their ``node``."""
-    gradient, hessian, turns = np.zeros(N), np.zeros((N, N)), np.empty(4)
+    sums, turns = Sums(np.zeros(N), np.zeros((N, N))), np.empty(4)
     of_body, of_head, quarter, curved = np.empty(4), np.empty(4), len(cos) // 4, as_variable(False)
     for k in range(len(states)):
         for i in range(quarter):
             turns[0] = turns[2] = cos[i]
             turns[1] = turns[3] = sin[i]
-            set_quarter_turns(
-                problem, track, k, states[k], turns, curved, gradient, hessian, of_body, of_head
-            )
+            set_quarter_turns(problem, track, k, states[k], turns, curved, sums, of_body, of_head)
             for q in range(4):
                 body[node[k], i + q * quarter] += of_body[q]
                 head[node[k], i + q * quarter] += of_head[q]
@@ -265,11 +262,9 @@ def leads_elsewhere(
 
 @inner_allocating
 def find_other_basins(
-    problem: Problem,
+    whole: Problem,
     tracks: NDArray[np.int64],
-    own: Problem,
-    track: int,
-    n: int,
+    chain: Chain,
     states: FloatArray,
     near: float,
     workspace: Workspace,
@@ -280,25 +275,24 @@ def find_other_basins(
 
     Parameters
     ----------
-    problem, tracks : whole, and the number in it of the track, or of that in each lane
-    own, track : views for the kernels: the same, or lanes
-    n, states : (n, 6)
+    whole, tracks : the problem of all tracks, and the number in it of the track, or of that in each lane
+    states : (n, 6)
     near : cosine of the turn within which a course leads to the same basin
     """
-    gains = greatest_gain(own, track, n, states, workspace)
-    found, again = gains < 0.0, workspace.again
+    gains, again = greatest_gain(chain, states, workspace), workspace.again
+    found = gains < 0.0
     if not any_of(gains > WORTHWHILE):
         return found
-    copy_rows(0, n, states, again)
+    copy_rows(0, chain.n, states, again)
     for lane in range(lane_count(gains)):
         if not lane_of(gains, lane) > WORTHWHILE:
             continue
-        length = int(lane_of(workspace.length[0], lane))
+        length = int(lane_of(chain.length, lane))
         here, course = np.empty((length, N)), np.empty((length, 2))
         for k in range(length):
             for i in range(N):
                 here[k, i] = lane_of(states[k, i], lane)
-        if leads_elsewhere(problem, tracks[lane], here, near, course):
+        if leads_elsewhere(whole, tracks[lane], here, near, course):
             this = only_lane(found, lane)
             found |= this
             angles = masked(again, this)
@@ -308,14 +302,10 @@ def find_other_basins(
 
 
 @allocating
-def find_other_basin(
-    problem: Problem, track: int, states: FloatArray, near: float, workspace: Workspace
-) -> bool:
-    """`search_basins` of a single track."""
-    tracks = np.empty(1, np.int64)
-    tracks[0] = track
-    workspace.length[0] = len(states)
-    return find_other_basins(problem, tracks, problem, track, len(states), states, near, workspace)
+def find_other_basin(chain: Chain, states: FloatArray, near: float, workspace: Workspace) -> bool:
+    """`find_other_basins` of a single track."""
+    tracks = np.full(1, chain.track)
+    return find_other_basins(chain.problem, tracks, chain, states, near, workspace)
 
 
 SLOW = 0.3  # m/s below which a person may stand: half of the slowest walk
@@ -328,26 +318,23 @@ _TURN = 2.0 * math.pi
 
 
 @inner
-def turn_to(
-    problem: Problem, track: int, k: int, states: FloatArray, place: int, lane: int
-) -> tuple[float, float]:
+def turn_to(chain: Chain, k: int, states: FloatArray, place: int, lane: int) -> tuple[float, float]:
     """The turn of an orientation from frame k − 1 to frame k of a lane, and the variance of diffusion."""
-    frame = problem.records[problem.offsets[track] + k]
+    frame = chain.problem.records[chain.problem.offsets[chain.track] + k]
     kappa = lane_of(frame.body_turn_kappa if place == BODY else frame.head_turn_kappa, lane)
     turn = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
     return turn - _TURN * math.floor(turn / _TURN + 0.5), 1.0 / kappa if kappa > 0.0 else _TURN
 
 
 @compiled
-def unwind(
-    problem: Problem, track: int, n: int, states: FloatArray, dearer: float, workspace: Workspace
-) -> Any:
+def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace) -> Any:
     """Put into ``workspace.again`` states with slow turns of over 180° reversed; True if there are any.
 
     ``dearer``: if positive, each turn is followed to its ends, at any speed, and smaller turns are reversed
     too, where that increases the cost of diffusion by at most ``dearer``.
     """
-    length, again = workspace.length[0], workspace.again
+    length, again = chain.length, workspace.again
+    records, offset = chain.problem.records, chain.problem.offsets[chain.track]
     found, copied = length < 0.0, False
     for lane in range(lane_count(length)):
         for place in (BODY, HEAD):
@@ -356,8 +343,8 @@ def unwind(
             for k in range(frames):
                 vx, vy, step = lane_of(states[k, VX], lane), lane_of(states[k, VY], lane), 0.0
                 if k > 0:
-                    since += lane_of(problem.records[problem.offsets[track] + k].dt, lane)
-                    step = turn_to(problem, track, k, states, place, lane)[0]
+                    since += lane_of(records[offset + k].dt, lane)
+                    step = turn_to(chain, k, states, place, lane)[0]
                     turned += step
                 if vx * vx + vy * vy < SLOW * SLOW:
                     if begin < 0:
@@ -370,21 +357,21 @@ def unwind(
                 if dearer > 0.0 and slow > begin:
                     least = _GOES_ON * at_slow / (slow - begin)
                     for m in range(begin + 1, slow + 1):
-                        variance += turn_to(problem, track, m, states, place, lane)[1]
+                        variance += turn_to(chain, m, states, place, lane)[1]
                     while begin > 0:
-                        step, diffuses = turn_to(problem, track, begin, states, place, lane)
+                        step, diffuses = turn_to(chain, begin, states, place, lane)
                         if not step * least > least * least:
                             break
                         begin, at_slow, variance = begin - 1, at_slow + step, variance + diffuses
                     while slow < frames - 1:
-                        step, diffuses = turn_to(problem, track, slow + 1, states, place, lane)
+                        step, diffuses = turn_to(chain, slow + 1, states, place, lane)
                         if not step * least > least * least:
                             break
                         slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
                 # A turn costs half of its square over the variance.
                 if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
                     if not copied:
-                        copy_rows(0, n, states, again)
+                        copy_rows(0, chain.n, states, again)
                         copied = True
                     this = only_lane(found, lane)
                     found |= this

@@ -20,6 +20,7 @@ from graphtrack.inference.chain.covariance import (
     admit_rivals,
     calibrate_tracks,
     find_covariances,
+    hide,
 )
 from graphtrack.inference.chain.initialisation import (
     ObservedAngles,
@@ -51,14 +52,14 @@ from graphtrack.kernels.lanes import (
     choose,
     lane_array,
     lane_count,
+    lane_memory,
     lane_of,
     lane_records,
-    lane_rows,
     masked,
     negate,
     only_lane,
 )
-from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, N, Problem, X, Y, number_rows
+from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y
 from graphtrack.model import Model
 from graphtrack.model.coupling_modes import (
     ModeMemory,
@@ -69,17 +70,23 @@ from graphtrack.model.coupling_modes import (
     report_modes,
 )
 from graphtrack.model.generator import OF_PRESETS, program_of
-from graphtrack.model.packing import PackedTracks
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.packing import PackedTracks, number_rows
+from graphtrack.model.terms.couplings import gait_of
 from graphtrack.tracks.track import Track
+
+PASSES = 2
+"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
+
+ON_THE_WAY = 1e-6
+"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
+still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
 
 
 class Options(NamedTuple):
     """Options of the solver."""
 
     max_iterations: int  # most steps of each descent
-    tolerance: float  # of the cost, of the last descent
-    on_the_way: float  # the same of earlier descents, which only determine the modes
+    tolerance: float  # of the cost, of the last descent; see `ON_THE_WAY`
     passes: int  # alternations of coupling modes and states
     search: bool  # True for basin search
 
@@ -87,8 +94,8 @@ class Options(NamedTuple):
 class Group(NamedTuple):
     """One track, or one in each lane."""
 
-    problem: Problem  # the whole problem, or the lanes'
-    track: int  # its number there
+    chain: Chain
+    whole: Problem  # of all tracks
     tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
     states: FloatArray  # (n, 6)
     covariance: FloatArray  # (n, 6, 6)
@@ -107,56 +114,51 @@ TIE = 1e-8  # Relative decrease of the cost for another basin; smaller differenc
 
 
 @inner
-def settle(
-    all_tracks: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool, last: bool
-) -> None:
+def settle(group: Group, max_iterations: int, tolerance: float, search: bool, last: bool) -> None:
     """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost.
 
     ``last``: also from reversed turns of about 180°, and from rivals that were found with other couplings.
     """
-    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
-    workspace, ended, again = group.workspace, group.workspace.ended, group.workspace.again
-    nothing = 0.0 * workspace.length[0]
+    chain, states, workspace = group.chain, group.states, group.workspace
+    ended, again, nothing = workspace.ended, workspace.again, 0.0 * chain.length
     elsewhere, begun = nothing > 0.0, nothing
     if search:
-        elsewhere = find_other_basins(all_tracks, tracks, problem, track, n, states, AT_START, workspace)
+        elsewhere = find_other_basins(group.whole, group.tracks, chain, states, AT_START, workspace)
     if any_of(elsewhere):
         # Contradictory observations make a poor start and a long descent.
-        begun = cost_of(problem, track, n, states, workspace)
-        copy_rows(0, n, again, states)
-    minimise(problem, track, n, states, max_iterations, tolerance, workspace)
+        begun = cost_of(chain, states, workspace)
+        copy_rows(0, chain.n, again, states)
+    minimise(chain, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
     # Couplings found with the states of one basin make it the cheapest: another must be far cheaper.
     gain = NEAR if last and group.modes is not None else 0.0
     rivals = ended[RIVAL_COST] < math.inf
     if last and any_of(rivals):
-        copy_rows(0, n, workspace.rival, again)
+        copy_rows(0, chain.n, workspace.rival, again)
         ended[RIVAL_COST] = nothing + math.inf
-        challenge(group, n, rivals, gain, max_iterations, tolerance)
+        challenge(group, rivals, gain, max_iterations, tolerance)
     if search:
-        elsewhere = find_other_basins(all_tracks, tracks, problem, track, n, states, AT_END, workspace)
-        challenge(group, n, elsewhere, 0.0, max_iterations, tolerance)
-    wound = unwind(problem, track, n, states, 4.0 * NEAR if last else 0.0, workspace)
-    challenge(group, n, wound, gain, max_iterations, tolerance)
+        elsewhere = find_other_basins(group.whole, group.tracks, chain, states, AT_END, workspace)
+        challenge(group, elsewhere, 0.0, max_iterations, tolerance)
+    wound = unwind(chain, states, 4.0 * NEAR if last else 0.0, workspace)
+    challenge(group, wound, gain, max_iterations, tolerance)
 
 
 @inner
-def challenge(
-    group: Group, n: int, elsewhere: Any, gain: float, max_iterations: int, tolerance: float
-) -> None:
+def challenge(group: Group, elsewhere: Any, gain: float, max_iterations: int, tolerance: float) -> None:
     """Minimise from ``workspace.again`` where it lies ``elsewhere``; stay there if it costs ``gain`` less."""
-    states, workspace = group.states, group.workspace
+    workspace = group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     elsewhere &= ended[STATUS] < float(NOT_FINITE)
     if any_of(elsewhere):
         for i in range(N):
             start[1, i] = start[0, i]
         first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-        minimise(group.problem, group.track, n, again, max_iterations, tolerance, workspace)
+        minimise(group.chain, again, max_iterations, tolerance, workspace)
         lower = ended[COST] < cost - gain - TIE * (1.0 + abs(cost))
         better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & lower
-        swap(n, better, again, states)
-        keep_rival(n, elsewhere, choose(better, cost, ended[COST]), again, states, workspace)
+        swap(group.chain.n, better, again, group.states)
+        keep_rival(group, elsewhere, choose(better, cost, ended[COST]), again)
         for i in range(N):
             start[0, i] = choose(better, start[0, i], start[1, i])
         ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
@@ -175,15 +177,14 @@ def swap(n: int, swapped: Any, one: FloatArray, other: FloatArray) -> None:
 
 
 @inner
-def keep_rival(
-    n: int, compared: Any, cost: Any, loser: FloatArray, states: FloatArray, workspace: Workspace
-) -> None:
+def keep_rival(group: Group, compared: Any, cost: Any, loser: FloatArray) -> None:
     """Keep rejected states (n, 6) that lie in another basin and cost less than the previous rival."""
-    ended, turned = workspace.ended, workspace.length[0] < 0.0
+    n, length, workspace = group.chain.n, group.chain.length, group.workspace
+    ended, turned = workspace.ended, length < 0.0
     for k in range(n):
-        inside = workspace.length[0] > float(k)
+        inside = length > float(k)
         for i in (BODY, HEAD):
-            turned |= inside & (math.cos(loser[k, i] - states[k, i]) < AT_END)
+            turned |= inside & (math.cos(loser[k, i] - group.states[k, i]) < AT_END)
     kept = compared & turned & (cost < ended[RIVAL_COST])
     if any_of(kept):
         for k in range(n):
@@ -193,16 +194,16 @@ def keep_rival(
 
 
 @inner
-def note_rivals(all_tracks: Problem, group: Group, apart: FloatArray) -> None:
+def note_rivals(group: Group, apart: FloatArray) -> None:
     """Write into ``apart`` (N, 2) the turn to a rival, times the root of its probability."""
     states, rival, ended = group.states, group.workspace.rival, group.workspace.ended
     dearer = ended[RIVAL_COST] - ended[COST]
     for lane in range(lane_count(dearer)):
         if group.tracks[lane] < 0 or not lane_of(dearer, lane) < NEAR:
             continue
-        begin = all_tracks.offsets[group.tracks[lane]]
+        begin = group.whole.offsets[group.tracks[lane]]
         share = math.sqrt(1.0 / (1.0 + math.exp(lane_of(dearer, lane))))
-        for k in range(int(lane_of(group.workspace.length[0], lane))):
+        for k in range(int(lane_of(group.chain.length, lane))):
             for i in range(2):
                 turn = lane_of(rival[k, BODY + i], lane) - lane_of(states[k, BODY + i], lane)
                 turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
@@ -210,17 +211,17 @@ def note_rivals(all_tracks: Problem, group: Group, apart: FloatArray) -> None:
 
 
 @merged
-def improve(all_tracks: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
+def improve(group: Group, max_iterations: int, tolerance: float) -> None:
     """Search other basins once the couplings are known, and stay there if they cost less."""
-    states, workspace = group.states, group.workspace
+    n, states, workspace = group.chain.n, group.states, group.workspace
     ended, before, start = workspace.ended, workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(all_tracks, group, n, max_iterations, tolerance, as_variable(True), as_variable(False))
+    settle(group, max_iterations, tolerance, as_variable(True), as_variable(False))
     better = ended[COST] < cost
     swap(n, negate(better), before, states)
-    keep_rival(n, cost < math.inf, choose(better, cost, ended[COST]), before, states, workspace)
+    keep_rival(group, cost < math.inf, choose(better, cost, ended[COST]), before)
     for i in range(N):
         start[0, i] = choose(better, start[0, i], first[i])
     ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
@@ -230,19 +231,14 @@ def improve(all_tracks: Problem, group: Group, n: int, max_iterations: int, tole
 
 
 @inner
-def put_back(
-    offsets: NDArray[np.int64],
-    tracks: NDArray[np.int64],
-    guessed: BoolArray,
-    length: Any,
-    before: FloatArray,
-    states: FloatArray,
-) -> None:
+def put_back(group: Group, guessed: BoolArray, before: FloatArray) -> None:
     """Restore the angles that are ``guessed`` (N, 2) to those before the descent; no rows: none."""
+    length = group.chain.length
     for lane in range(lane_count(length)):
-        if tracks[lane] < 0 or len(guessed) == 0:
+        if group.tracks[lane] < 0 or len(guessed) == 0:
             continue
-        begin, here = offsets[tracks[lane]], masked(states, only_lane(length > 0.0, lane))
+        begin = group.whole.offsets[group.tracks[lane]]
+        here = masked(group.states, only_lane(length > 0.0, lane))
         for k in range(int(lane_of(length, lane))):
             for i in range(2):
                 if guessed[begin + k, i]:
@@ -262,9 +258,7 @@ def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
 
 @merged
 def solve_group(
-    all_tracks: Problem,
     group: Group,
-    n: int,
     options: Options,
     gait: Any,
     guessed: BoolArray,
@@ -272,7 +266,7 @@ def solve_group(
     searched: bool,
     result: Result,
 ) -> None:
-    """Solve a group of up to n frames from its states, in place, with covariances.
+    """Solve a group from its states, in place, with covariances.
 
     Parameters
     ----------
@@ -281,59 +275,60 @@ def solve_group(
     classified : True if class likelihoods of the head are known
     searched : search basins with couplings, too, as class likelihoods require
     """
-    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
-    workspace, most, search = group.workspace, options.max_iterations, options.search
-    ended = workspace.ended
-    length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
-    copy_rows(0, n, states, workspace.before)
+    chain, tracks, states, workspace = group.chain, group.tracks, group.states, group.workspace
+    length, ended, most = chain.length, workspace.ended, options.max_iterations
+    copy_rows(0, chain.n, states, workspace.before)
     ended[RIVAL_COST] = 0.0 * length + math.inf
-    settle(all_tracks, group, n, most, tolerance, search, as_variable(gait is None))
+    on_the_way = max(options.tolerance, ON_THE_WAY)
+    tolerance = options.tolerance if gait is None else on_the_way
+    settle(group, most, tolerance, options.search, as_variable(gait is None))
     if gait is not None:
         # The first descent has no couplings; then modes and states alternate.
-        put_back(all_tracks.offsets, tracks, guessed, length, workspace.before, states)
-        search = as_variable(False)
+        put_back(group, guessed, workspace.before)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
-            tolerance = options.tolerance if last else options.on_the_way
-            renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
+            tolerance = options.tolerance if last else on_the_way
+            renew_couplings(chain, states, gait, classified, last, group.modes)
             # Costs of rivals are invalid with other couplings.
             ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
-            settle(all_tracks, group, n, most, tolerance, search, last)
+            settle(group, most, tolerance, as_variable(False), last)
             if searched:
-                improve(all_tracks, group, n, most, tolerance)
+                improve(group, most, tolerance)
     note(tracks, ended, result)
-    note_rivals(all_tracks, group, result.apart)
-    find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
+    note_rivals(group, result.apart)
+    find_covariances(chain, states, group.modes, workspace, group.covariance)
     if gait is not None:
-        add_glance_variance(n, group.modes.held, gait, group.covariance)
+        add_glance_variance(chain.n, group.modes.held, gait, group.covariance)
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
-                begin, frames = all_tracks.offsets[tracks[lane]], int(lane_of(length, lane))
+                begin, frames = group.whole.offsets[tracks[lane]], int(lane_of(length, lane))
                 report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
 
 
 # -- one track after the other -------------------------------------------------------------------------------
 
 
-@compiled
+@inner_allocating
+def modes_of(gait: Any, n: int) -> Any:
+    """Memory for the coupling modes of up to n frames; None without modes."""
+    if gait is None:
+        return None
+    return mode_memory(n)
+
+
+@allocating
 def solve_tracks(
-    problem: Problem,
-    options: Options,
-    gait: Any,
-    guessed: BoolArray,
-    tracks: NDArray[np.int64],
-    workspace: Workspace,
-    modes: Any,
-    result: Result,
+    problem: Problem, longest: int, options: Options, gait: Any, guessed: BoolArray, result: Result
 ) -> None:
-    """Solve all tracks from the states in the result, in place; the other arrays are memory."""
+    """Solve all tracks, of up to ``longest`` frames, from the states in the result, in place."""
+    tracks, memory, modes = np.empty(1, np.int64), workspace(longest), modes_of(gait, longest)
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
-        tracks[0], workspace.length[0] = track, b - a
-        group = Group(problem, track, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
+        tracks[0], chain = track, Chain(problem, track, b - a, float(b - a))
+        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], memory, modes)
         body, head = classified_in(problem, track)
         searched = options.search and (body or head)
-        solve_group(problem, group, b - a, options, gait, guessed, head, searched, result)
+        solve_group(group, options, gait, guessed, head, searched, result)
 
 
 # -- a track in each lane ------------------------------------------------------------------------------------
@@ -343,6 +338,7 @@ class LaneArrays(NamedTuple):
     """Memory for a group of tracks of up to n frames, without class likelihoods; lanes come last."""
 
     tracks: NDArray[np.int64]  # (LANES,) numbers; −1: none
+    length: FloatArray  # (1, LANES) frames of each
     offsets: NDArray[np.int64]  # (2,) of the lanes' problem
     frames: FloatArray  # (n, numbers of a record, LANES)
     origin: FloatArray  # (1, 2, LANES)
@@ -356,6 +352,7 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
     """Memory for tracks of up to n frames with records of a given size."""
     return LaneArrays(
         np.empty(LANES, np.int64),
+        np.empty((1, LANES)),
         np.zeros(2, np.int64),
         np.empty((n, numbers, LANES)),
         np.empty((1, 2, LANES)),
@@ -368,11 +365,11 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
 
 def _for_lanes(memory: Any) -> Any:
     """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
-    return type(memory)(*(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory))
+    return type(memory)(*(np.zeros((*one.shape, LANES)) if one.dtype == float else one for one in memory))
 
 
 @inner_allocating
-def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
+def lane_group(problem: Problem, arrays: LaneArrays, n: int) -> Group:
     """Views of the arrays for the kernels; the caller keeps the arrays alive."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
@@ -381,51 +378,13 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
         problem.head_heights,
         problem.body_directions,
         problem.head_directions,
-        lane_rows(arrays.origin, 2),
+        lane_array(arrays.origin, 2),
         arrays.offsets,
         problem.prior,
     )
-    memory = arrays.workspace
-    workspace = Workspace(
-        lane_array(memory.inverse),
-        lane_array(memory.link),
-        lane_array(memory.solution),
-        lane_array(memory.step),
-        lane_array(memory.candidate),
-        lane_rows(memory.trigonometry, 4),
-        lane_array(memory.scratch),
-        lane_array(memory.start),
-        lane_array(memory.ended),
-        lane_array(memory.length),
-        lane_array(memory.message),
-        lane_array(memory.factored),
-        memory.kept,
-        lane_array(memory.again),
-        lane_array(memory.before),
-        lane_array(memory.rival),
-    )
-    states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
-    return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
-
-
-@inner_allocating
-def lane_modes(memory: Any) -> Any:
-    """View of the memory of the coupling modes for the kernels; None without modes."""
-    if memory is None:
-        return None
-    return ModeMemory(
-        lane_array(memory.dt),
-        lane_rows(memory.ahead, 3),
-        lane_rows(memory.likelihood, ROW),
-        lane_rows(memory.filtered_body, ROW),
-        lane_rows(memory.filtered_head, ROW),
-        lane_rows(memory.spare, ROW),
-        lane_rows(memory.after, ROW),
-        lane_rows(memory.weight, ROW),
-        lane_rows(memory.before, ROW),
-        lane_rows(memory.held, 4),
-        lane_rows(memory.spread, 2),
-    )
+    chain, modes = Chain(own, 0, n, lane_array(arrays.length, N)[0]), lane_memory(arrays.modes)
+    states, covariance = lane_array(arrays.states, N), lane_array(arrays.covariance, N)
+    return Group(chain, problem, arrays.tracks, states, covariance, lane_memory(arrays.workspace), modes)
 
 
 @compiled
@@ -442,14 +401,14 @@ def gather(
     for lane in range(LANES):
         track = order[begin + lane] if begin + lane < len(order) else -1
         n = problem.offsets[track + 1] - problem.offsets[track] if track >= 0 else 0
-        arrays.tracks[lane], arrays.workspace.length[0, lane], longest = track, n, max(n, longest)
+        arrays.tracks[lane], arrays.length[0, lane], longest = track, n, max(n, longest)
         for axis in range(2):
             arrays.origin[0, axis, lane] = problem.origin[track, axis] if track >= 0 else 0.0
     arrays.offsets[1] = longest
     for k in range(longest):
         for lane in range(LANES):
             row = problem.offsets[arrays.tracks[lane]] + k
-            known = float(k) < arrays.workspace.length[0, lane]
+            known = float(k) < arrays.length[0, lane]
             for i in range(numbers.shape[1]):
                 arrays.frames[k, i, lane] = numbers[row, i] if known else 0.0
             for i in range(N):
@@ -465,7 +424,7 @@ def scatter(problem: Problem, arrays: LaneArrays, result: Result) -> None:
         if track < 0:
             continue
         begin = problem.offsets[track]
-        for k in range(int(arrays.workspace.length[0, lane])):
+        for k in range(int(arrays.length[0, lane])):
             for i in range(N):
                 result.states[begin + k, i] = arrays.states[k, i, lane]
                 for j in range(N):
@@ -484,19 +443,12 @@ def solve_lanes(
     result: Result,
 ) -> None:
     """`solve_tracks` in lanes, in an ``order`` in which neighbours are about as long."""
-    group = lane_group(problem, arrays)
     for begin in range(0, len(order), LANES):
         n = gather(problem, numbers, result.states, order, begin, arrays)
-        solve_group(problem, group, n, options, gait, guessed, False, False, result)
+        group = lane_group(problem, arrays, n)
+        solve_group(group, options, gait, guessed, False, False, result)
         scatter(problem, arrays, result)
 
-
-PASSES = 2
-"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
-
-ON_THE_WAY = 1e-6
-"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
-still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
 
 LARGE = 200_000
 """Person-frames from which work is solved in lanes, which takes as long to compile as the rest of an engine,
@@ -566,7 +518,7 @@ def solve_packed(
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
         initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, basin_search)
+        options = Options(max_iterations, tolerance, PASSES, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     if calibration is not None:
@@ -583,7 +535,6 @@ def solve_terms(
     guessed: BoolArray = NONE_GUESSED,
     *,
     in_lanes: bool = False,
-    memory: Workspace | None = None,
 ) -> None:
     """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states."""
     lengths = np.diff(problem.offsets)
@@ -596,10 +547,7 @@ def solve_terms(
         arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
         solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
     else:
-        memory = workspace(longest) if memory is None else memory
-        modes = None if gait is None else mode_memory(longest)
-        numbers = np.zeros(1, np.int64)
-        solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
+        solve_tracks(problem, longest, options, gait, guessed, result)
 
 
 def never_observed(packed: PackedTracks, angles_observed: ObservedAngles) -> BoolArray:
@@ -641,9 +589,6 @@ def finish(
             state[Y] += origin[track, Y]
             for place, has in ((BODY, has_body), (HEAD, has_head)):
                 if not has:
-                    state[place] = math.nan
-                    for i in range(N):
-                        covariance[place, i] = math.nan
-                        covariance[i, place] = math.nan
+                    hide(place, state, covariance)
             if failed:
                 covariance[:] = math.nan

@@ -26,12 +26,12 @@ from graphtrack.inference.chain.newton import (
     whiten,
 )
 from graphtrack.kernels.arithmetic import exp
-from graphtrack.kernels.compilation import allocating, compiled, inner, merged
+from graphtrack.kernels.compilation import allocating, compiled, inner
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, N, Problem
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N
 from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.model.parameters import Parameters, kept_shares, oscillation_variances
-from graphtrack.model.terms.body_follows_motion import squared_excess
+from graphtrack.model.terms.couplings import squared_excess
 
 
 @compiled
@@ -52,12 +52,12 @@ def pull_apart(
 
 @compiled
 def sweep_pulls(
-    n: int, states: FloatArray, coupling: int, spread: FloatArray, threshold: float, workspace: Workspace
+    chain: Chain, states: FloatArray, coupling: int, spread: FloatArray, workspace: Workspace
 ) -> None:
     """The forward sweep of H·u = γ through a factorisation."""
     inverse, link, solution = workspace.inverse, workspace.link, workspace.solution
-    right = workspace.scratch[0, 0]
-    for k in range(n):
+    right, threshold = workspace.scratch[0, 0], chain.problem.shared[0].speed_threshold
+    for k in range(chain.n):
         pull_apart(states[k], coupling, spread[k], threshold, right)
         if k > 0:
             for i in range(N):
@@ -70,20 +70,20 @@ def sweep_pulls(
 
 @inner
 def add_spread(
-    problem: Problem,
-    n: int,
+    chain: Chain,
     states: FloatArray,
     spread: FloatArray,
     workspace: Workspace,
+    first: int,
     covariance: FloatArray,
 ) -> None:
-    """Add the uncertainty of the modes of both couplings to covariances (n, 6, 6), by a factorisation."""
-    threshold = problem.shared[0].speed_threshold
+    """Add the uncertainty of the modes of both couplings to covariances (n − first, 6, 6) from a frame on."""
+    last = chain.n - 1
     for coupling in range(2):
-        sweep_pulls(n, states, coupling, spread, threshold, workspace)
-        for k in range(n - 1, -1, -1):
-            take_step(k, k < n - 1, workspace)  # −u, with the same outer product
-            widen(covariance[k], workspace.step[k])
+        sweep_pulls(chain, states, coupling, spread, workspace)
+        for k in range(last, first - 1, -1):
+            take_step(k, k < last, workspace)  # −u, with the same outer product
+            widen(covariance[k - first], workspace.step[k])
 
 
 @compiled
@@ -96,60 +96,31 @@ def widen(covariance: FloatArray, deviation: FloatArray) -> None:
 
 @compiled
 def spread_track(
-    problem: Problem,
-    n: int,
-    states: FloatArray,
-    spread: FloatArray,
-    workspace: Workspace,
-    covariance: FloatArray,
+    chain: Chain, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
 ) -> None:
-    """Add the uncertainty of the modes to covariances (n, 6, 6) of the only track; ``spread`` is (n, 2)."""
-    # The only track, as a variable: functions are compiled again for each constant.
-    if factorise(problem, len(problem.offsets) - 2, n, states, workspace):
-        add_spread(problem, n, states, spread, workspace, covariance)
-
-
-@merged
-def spread_newest(
-    problem: Problem,
-    n: int,
-    states: FloatArray,
-    spread: FloatArray,
-    workspace: Workspace,
-    covariance: FloatArray,
-) -> None:
-    """Add the uncertainty of the modes to the newest frame's (6, 6), by `solve_window`."""
-    threshold = problem.shared[0].speed_threshold
-    for coupling in range(2):
-        sweep_pulls(n, states, coupling, spread, threshold, workspace)
-        take_step(n - 1, as_variable(False), workspace)
-        widen(covariance, workspace.step[n - 1])
+    """Add the uncertainty of the modes to covariances (n, 6, 6) of a track; ``spread`` is (n, 2)."""
+    if factorise(chain, states, workspace):
+        add_spread(chain, states, spread, workspace, 0, covariance)
 
 
 @inner
 def find_covariances(
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    modes: Any,
-    workspace: Workspace,
-    covariance: FloatArray,
+    chain: Chain, states: FloatArray, modes: Any, workspace: Workspace, covariance: FloatArray
 ) -> None:
     """Covariances (n, 6, 6) at states, of the exact curvature if definite, with the part of ``modes``."""
     full = as_variable(True)
-    _, exact = sweep_forward(problem, track, n, states, full, workspace)
+    _, exact = sweep_forward(chain, states, full, workspace)
     if any_of(exact):
-        marginals(n, workspace, covariance)
+        marginals(chain.n, workspace, covariance)
         if modes is not None:
-            add_spread(problem, n, states, modes.spread, workspace, covariance)
+            add_spread(chain, states, modes.spread, workspace, 0, covariance)
     if any_of(negate(exact)):
         # A saddle, or not converged: the positive semidefinite curvature.
-        sweep_forward(problem, track, n, states, not full, workspace)
+        sweep_forward(chain, states, not full, workspace)
         correction = masked(covariance, negate(exact))
-        marginals(n, workspace, correction)
+        marginals(chain.n, workspace, correction)
         if modes is not None:
-            add_spread(problem, n, states, modes.spread, workspace, correction)
+            add_spread(chain, states, modes.spread, workspace, 0, correction)
 
 
 SHRINK_WIDEST = 1e3  # Inverse curvature in rad² beyond which an angle is uniform
@@ -346,6 +317,14 @@ def calibrate_tracks(
         for k in range(first, last + 1):
             ends[k] = min(t[k] - t[first], t[last] - t[k])
     calibrate(covariances, states, ends, calibration)
+
+
+@inner
+def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
+    """Set variables outside the model to NaN."""
+    state[place] = math.nan
+    for i in range(N):
+        covariance[i, place] = covariance[place, i] = math.nan
 
 
 @compiled

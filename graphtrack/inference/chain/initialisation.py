@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray, vectors_of
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import SLOW
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE, Result
@@ -28,14 +28,13 @@ from graphtrack.kernels.layout import (
     Problem,
     X,
     Y,
-    number_rows,
-    place_in_row,
 )
 from graphtrack.model import Model, States
 from graphtrack.model.generator import program_of
-from graphtrack.model.observation import require_position, vectors_of
-from graphtrack.model.packing import PackedTracks, RecordTypes
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
+from graphtrack.model.observation import require_position
+from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks, number_rows, place_in_row
+from graphtrack.model.term import filled, types_of
+from graphtrack.tracks.track import Track
 
 
 class RecordEntries(NamedTuple):
@@ -69,33 +68,25 @@ def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
     """Solve tracks with linear terms only; states in the world, orientations NaN."""
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
-        solve_linear_track(linear, track, spread, memory, result)
-
-
-@inner
-def solve_linear_track(
-    linear: Linear, track: int, spread: FloatArray, memory: FloatArray, result: Result
-) -> None:
-    """Solve one track; ``spread`` and ``memory`` as in `solve_linear`, of any track."""
-    a, b = linear.offsets[track], linear.offsets[track + 1]
-    states, origin = result.states[a:b], linear.origin[track]
-    cost = solve_linear(linear, track, states, spread, memory)
-    result.first_cost[track] = result.cost[track] = cost
-    result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
-    blank = 0.0 if math.isfinite(cost) else math.nan
-    for k in range(b - a):
-        state, covariance = states[k], result.covariance[a + k]
-        state[X] += origin[X]
-        state[Y] += origin[Y]
-        state[BODY] = state[HEAD] = math.nan
-        for i in range(N):
-            for j in range(N):
-                covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
-        for axis in range(2):
-            p, v = X + axis, VX + axis
-            covariance[p, p] = spread[k, 0] + blank
-            covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
-            covariance[v, v] = spread[k, 2] + blank
+        a, b = linear.offsets[track], linear.offsets[track + 1]
+        states, origin = result.states[a:b], linear.origin[track]
+        cost = solve_linear(linear, track, states, spread, memory)
+        result.first_cost[track] = result.cost[track] = cost
+        result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
+        blank = 0.0 if math.isfinite(cost) else math.nan
+        for k in range(b - a):
+            state, covariance = states[k], result.covariance[a + k]
+            state[X] += origin[X]
+            state[Y] += origin[Y]
+            state[BODY] = state[HEAD] = math.nan
+            for i in range(N):
+                for j in range(N):
+                    covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
+            for axis in range(2):
+                p, v = X + axis, VX + axis
+                covariance[p, p] = spread[k, 0] + blank
+                covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
+                covariance[v, v] = spread[k, 2] + blank
 
 
 @inner
@@ -299,14 +290,14 @@ CREEPING = 0.1
 
 def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
     """Tracks end to end, with the records that the model's compiled terms fill in."""
-    return PackedTracks.of(tracks, camera, model.compiled_terms, program_of(model).types)
+    return filled(PackedTracks.of(tracks, camera, program_of(model).types), model.compiled_terms)
 
 
 def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
     """The same; for a linear model, with a fourth of the memory."""
     terms = model.terms  # without the anchors of first orientations
     if camera is None and not (model.has_body or model.has_head):
-        packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
+        packed = filled(PackedTracks.of(tracks, camera, types_of(terms)), terms)
         if model.is_linear(packed):
             return packed
     return pack(tracks, model, camera)
@@ -319,8 +310,7 @@ def problem_of(packed: PackedTracks) -> Problem:
         packed.shared,
         packed.body_heights,
         packed.head_heights,
-        unit(class_centres(BODY_CLASSES)),
-        unit(class_centres(HEAD_CLASSES)),
+        *CLASS_DIRECTIONS,
         packed.origin,
         packed.offsets,
         NO_PRIOR,

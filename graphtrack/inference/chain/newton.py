@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, N, Problem
+from graphtrack.kernels.lanes import any_of, choose, masked, negate, sized
+from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Sums
 from graphtrack.model.generator import add_frame
 
 
@@ -32,13 +32,15 @@ class Workspace(NamedTuple):
     scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
     start: FloatArray  # (2, 6) initial state of the first frame, of the descent and of another one
     ended: FloatArray  # (6,) first cost, cost, steps, status, exact factorisation, cost of a rival
-    length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
     message: FloatArray  # (n, 7, 6) Hessian and gradient, earlier frames eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
     kept: NDArray[np.int64]  # (2,) number of first frames whose factorisation is kept; 1 if any may be
     again: FloatArray  # (n, 6) states in another basin
     before: FloatArray  # (n, 6) states to restore
     rival: FloatArray  # (n, 6) the states of the best basin that lost a comparison
+
+
+sized(Workspace, N, trigonometry=4)
 
 
 FIRST_COST, COST, STEPS, STATUS, EXACT, RIVAL_COST = range(6)  # Indices of `Workspace.ended`
@@ -57,7 +59,6 @@ def workspace(n: int) -> Workspace:
         np.empty((4, N, N)),
         np.empty((2, N)),
         np.empty(6),
-        np.full(1, float(n)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),
         np.zeros(2, np.int64),
@@ -107,64 +108,49 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
     pivot = matrix[5, 5] - l50 * l50 - l51 * l51 - l52 * l52 - l53 * l53 - l54 * l54
     sound5 = pivot > _SMALLEST_PIVOT * abs(matrix[5, 5])
     m55 = 1.0 / math.sqrt(pivot)
-    m10 = -m11 * (l10 * m00)
-    m20 = -m22 * (l20 * m00 + l21 * m10)
-    m30 = -m33 * (l30 * m00 + l31 * m10 + l32 * m20)
-    m40 = -m44 * (l40 * m00 + l41 * m10 + l42 * m20 + l43 * m30)
-    m50 = -m55 * (l50 * m00 + l51 * m10 + l52 * m20 + l53 * m30 + l54 * m40)
-    m21 = -m22 * (l21 * m11)
-    m31 = -m33 * (l31 * m11 + l32 * m21)
-    m41 = -m44 * (l41 * m11 + l42 * m21 + l43 * m31)
-    m51 = -m55 * (l51 * m11 + l52 * m21 + l53 * m31 + l54 * m41)
-    m32 = -m33 * (l32 * m22)
-    m42 = -m44 * (l42 * m22 + l43 * m32)
-    m52 = -m55 * (l52 * m22 + l53 * m32 + l54 * m42)
-    m43 = -m44 * (l43 * m33)
-    m53 = -m55 * (l53 * m33 + l54 * m43)
-    m54 = -m55 * (l54 * m44)
     inverse[0, 0] = m00
-    inverse[1, 0] = m10
     inverse[1, 1] = m11
-    inverse[2, 0] = m20
-    inverse[2, 1] = m21
     inverse[2, 2] = m22
-    inverse[3, 0] = m30
-    inverse[3, 1] = m31
-    inverse[3, 2] = m32
     inverse[3, 3] = m33
-    inverse[4, 0] = m40
-    inverse[4, 1] = m41
-    inverse[4, 2] = m42
-    inverse[4, 3] = m43
     inverse[4, 4] = m44
-    inverse[5, 0] = m50
-    inverse[5, 1] = m51
-    inverse[5, 2] = m52
-    inverse[5, 3] = m53
-    inverse[5, 4] = m54
     inverse[5, 5] = m55
+    inverse[1, 0] = m10 = -m11 * (l10 * m00)
+    inverse[2, 0] = m20 = -m22 * (l20 * m00 + l21 * m10)
+    inverse[3, 0] = m30 = -m33 * (l30 * m00 + l31 * m10 + l32 * m20)
+    inverse[4, 0] = m40 = -m44 * (l40 * m00 + l41 * m10 + l42 * m20 + l43 * m30)
+    inverse[5, 0] = -m55 * (l50 * m00 + l51 * m10 + l52 * m20 + l53 * m30 + l54 * m40)
+    inverse[2, 1] = m21 = -m22 * (l21 * m11)
+    inverse[3, 1] = m31 = -m33 * (l31 * m11 + l32 * m21)
+    inverse[4, 1] = m41 = -m44 * (l41 * m11 + l42 * m21 + l43 * m31)
+    inverse[5, 1] = -m55 * (l51 * m11 + l52 * m21 + l53 * m31 + l54 * m41)
+    inverse[3, 2] = m32 = -m33 * (l32 * m22)
+    inverse[4, 2] = m42 = -m44 * (l42 * m22 + l43 * m32)
+    inverse[5, 2] = -m55 * (l52 * m22 + l53 * m32 + l54 * m42)
+    inverse[4, 3] = m43 = -m44 * (l43 * m33)
+    inverse[5, 3] = -m55 * (l53 * m33 + l54 * m43)
+    inverse[5, 4] = -m55 * (l54 * m44)
     return sound0 & sound1 & sound2 & sound3 & sound4 & sound5
 
 
 @compiled
 def eliminate(
-    hessian: FloatArray,
-    right: FloatArray,
+    sums: Sums,
     transition: FloatArray,
-    hessian_next: FloatArray,
-    right_next: FloatArray,
+    sums_next: Sums,
     inverse: FloatArray,
     link: FloatArray,
     solution: FloatArray,
 ) -> Any:
     """Eliminate a frame: add its Schur complement to the next frame; keep the data of the backward sweep."""
-    definite = invert_cholesky(hessian, inverse)
+    # Three arrays and not the whole workspace, with which a descent takes a sixth longer.
+    right, right_next, hessian_next = sums.gradient, sums_next.gradient, sums_next.hessian
+    definite = invert_cholesky(sums.hessian, inverse)
     # Six parallel sums are vectorised; an inner loop is not, and takes three times as long.
     for i in range(N):
         a = b = c = d = e = f = total = 0.0
-        for k in range(i + 1):
-            weight, row = inverse[i, k], transition[k]
-            total += weight * right[k]
+        for j in range(i + 1):
+            weight, row = inverse[i, j], transition[j]
+            total += weight * right[j]
             a += weight * row[0]
             b += weight * row[1]
             c += weight * row[2]
@@ -176,10 +162,10 @@ def eliminate(
         row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
     for i in range(N):
         a = b = c = d = e = f = total = 0.0
-        for k in range(N):
-            row = link[k]
+        for j in range(N):
+            row = link[j]
             weight = row[i]
-            total += weight * solution[k]
+            total += weight * solution[j]
             a += weight * row[0]
             b += weight * row[1]
             c += weight * row[2]
@@ -208,12 +194,12 @@ def whiten(inverse: FloatArray, right: FloatArray, solution: FloatArray) -> None
 
 
 @compiled
-def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
+def clear(sums: Sums, transition: FloatArray) -> None:
     """Set to 0; assigning to slices would take longer than the terms themselves."""
     for i in range(N):
-        gradient[i] = 0.0
+        sums.gradient[i] = 0.0
         for j in range(N):
-            hessian[i, j] = 0.0
+            sums.hessian[i, j] = 0.0
             transition[i, j] = 0.0
 
 
@@ -342,9 +328,7 @@ class Result(NamedTuple):
     cost: FloatArray  # (m,)
     iterations: NDArray[np.int64]  # (m,)
     status: NDArray[np.int64]  # (m,) see CONVERGED
-    modes: (
-        FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and that of a glance
-    )
+    modes: FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and a glance's
     apart: FloatArray  # (N, 2) spread of body and head to another basin, radians
 
 
@@ -366,32 +350,30 @@ def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
 
 
 @inner
-def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> Any:
+def add_prior(prior: FloatArray, state: FloatArray, sums: Sums) -> Any:
     """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
     cost = 0.0
     for i in range(N):
         slope = 0.0
         for j in range(N):
             slope += prior[i, j] * (state[j] - prior[N + 1, j])
-            hessian[i, j] += prior[i, j]
+            sums.hessian[i, j] += prior[i, j]
         cost += (0.5 * slope - prior[N, i]) * (state[i] - prior[N + 1, i])
-        gradient[i] += slope - prior[N, i]
+        sums.gradient[i] += slope - prior[N, i]
     return cost
 
 
 @inner
-def add_message(
-    k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
-) -> Any:
+def add_message(k: int, states: FloatArray, sums: Sums, workspace: Workspace) -> Any:
     """Add the cost of a frame and all earlier ones, relative to their factorisation, with derivatives."""
     message, cost = workspace.message[k], 0.0
     for i in range(N):
         slope = message[N, i]
-        gradient[i] = slope
+        sums.gradient[i] = slope
         for j in range(N):
-            hessian[i, j] = message[i, j]
+            sums.hessian[i, j] = message[i, j]
             bend = message[max(i, j), min(i, j)] * (states[k, j] - workspace.factored[k, j])
-            gradient[i] += bend
+            sums.gradient[i] += bend
             slope += 0.5 * bend
         cost += slope * (states[k, i] - workspace.factored[k, i])
     note_turns(k, states, workspace.trigonometry)
@@ -399,74 +381,46 @@ def add_message(
 
 
 @inner
-def sweep_forward(
-    problem: Problem, track: int, n: int, states: FloatArray, exact: bool, workspace: Workspace
-) -> tuple[Any, Any]:
+def sweep_forward(chain: Chain, states: FloatArray, exact: bool, workspace: Workspace) -> tuple[Any, Any]:
     """Factor the Hessian at the states; returns their cost and True if it is positive definite."""
-    inverse, link, solution, scratch = (
-        workspace.inverse,
-        workspace.link,
-        workspace.solution,
-        workspace.scratch,
-    )
-    gradients, transition, start = scratch[0], scratch[3], workspace.start[0]
-    length, first, every, keeps = workspace.length[0], workspace.kept[0], True, workspace.kept[1] > 0
+    problem, track, n, length = chain.problem, chain.track, chain.n, chain.length
+    inverse, link, solution = workspace.inverse, workspace.link, workspace.solution
+    scratch, turns, start = workspace.scratch, workspace.trigonometry, workspace.start[0]
+    transition, first, every, keeps = scratch[3], workspace.kept[0], True, workspace.kept[1] > 0
     cost, definite = 0.0 * length, length >= 0.0
-    clear(gradients[0], scratch[1], transition)
-    clear(gradients[1], scratch[2], transition)
+    for k in range(2):
+        clear(Sums(scratch[0, k], scratch[1 + k]), transition)
     if first > 0:
         here = (first - 1) & 1
-        cost += add_message(first - 1, states, gradients[here], scratch[1 + here], workspace)
+        cost += add_message(first - 1, states, Sums(scratch[0, here], scratch[1 + here]), workspace)
     for k in range(first, n):
         here, before = k & 1, 1 - (k & 1)
-        gradient, hessian, gradient_before = gradients[here], scratch[1 + here], gradients[before]
-        hessian_before = scratch[1 + before]
+        sums = Sums(scratch[0, here], scratch[1 + here])
+        sums_before = Sums(scratch[0, before], scratch[1 + before])
         cost += add_frame(
-            problem,
-            track,
-            k,
-            start,
-            states,
-            exact,
-            every,
-            every,
-            workspace.trigonometry,
-            gradient_before,
-            gradient,
-            hessian_before,
-            hessian,
-            transition,
+            problem, track, k, start, states, exact, every, every, turns, sums_before, sums, transition
         )
         if k == 0 and len(problem.prior) > 0:
-            cost += add_prior(problem.prior, states[0], gradient, hessian)
+            cost += add_prior(problem.prior, states[0], sums)
         over = length <= float(k)
         if any_of(over):
             # Other lanes have longer tracks: frames without terms are eliminated as the identity.
-            block = masked(hessian, over)
+            block = masked(sums.hessian, over)
             for i in range(N):
                 block[i, i] = 1.0
         if k > 0 and any_of(definite):
-            definite &= eliminate(
-                hessian_before,
-                gradient_before,
-                transition,
-                hessian,
-                gradient,
-                inverse[k - 1],
-                link[k - 1],
-                solution[k - 1],
-            )
-        clear(gradient_before, hessian_before, transition)
+            definite &= eliminate(sums_before, transition, sums, inverse[k - 1], link[k - 1], solution[k - 1])
+        clear(sums_before, transition)
         if keeps and any_of(definite):
             for i in range(N):
                 for j in range(N):
-                    workspace.message[k, i, j] = hessian[i, j]
-                workspace.message[k, N, i] = gradient[i]
+                    workspace.message[k, i, j] = sums.hessian[i, j]
+                workspace.message[k, N, i] = sums.gradient[i]
                 workspace.factored[k, i] = states[k, i]
     last = (n - 1) & 1
     if any_of(definite):
         definite &= invert_cholesky(scratch[1 + last], inverse[n - 1])
-        whiten(inverse[n - 1], gradients[last], solution[n - 1])
+        whiten(inverse[n - 1], scratch[0, last], solution[n - 1])
     return cost, definite
 
 
@@ -484,27 +438,22 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
 
 @inner
 def minimise(
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    workspace: Workspace,
+    chain: Chain, states: FloatArray, max_iterations: int, tolerance: float, workspace: Workspace
 ) -> None:
     """Newton's method with step halving from ``states`` (n, 6), in place; its status is ``workspace.ended``.
 
     Kept frames do not move, except the last. Each lane has its own step length.
     """
     step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
+    n, length = chain.n, chain.length
     first, full = first_open(workspace), as_variable(True)
     for i in range(N):
         workspace.start[0, i] = states[0, i]
-    first_cost, definite = sweep_forward(problem, track, n, states, full, workspace)
-    cost, exact, one = first_cost, definite, 0.0 * workspace.length[0] + 1.0
+    first_cost, definite = sweep_forward(chain, states, full, workspace)
+    cost, exact, one = first_cost, definite, 0.0 * length + 1.0
     running = abs(cost) < _HUGE
     status, steps = choose(running, one * NOT_CONVERGED, one * NOT_FINITE), 0.0 * one
-    running &= workspace.length[0] > 0.0
+    running &= length > 0.0
     stuck_somewhere = negate(one > 0.0)
     for iteration in range(max_iterations + 1):
         if not any_of(running):
@@ -514,7 +463,7 @@ def minimise(
         if any_of(unsound):
             # These take the step of the positive semidefinite curvature.
             copy_rows(first, n, step, candidate)
-            _, sound = sweep_forward(problem, track, n, states, not full, workspace)
+            _, sound = sweep_forward(chain, states, not full, workspace)
             decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
             unchanged = masked(step, negate(unsound))
             for k in range(first, n):
@@ -535,7 +484,7 @@ def minimise(
         scale, found = choose(running, one, 0.0), cost
         while True:
             go(first, n, states, scale, step, candidate)
-            found, definite = sweep_forward(problem, track, n, candidate, full, workspace)
+            found, definite = sweep_forward(chain, candidate, full, workspace)
             worse = running & negate(found <= cost)
             if not any_of(worse):
                 break
@@ -553,20 +502,19 @@ def minimise(
 
 
 @merged
-def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
+def cost_of(chain: Chain, states: FloatArray, workspace: Workspace) -> Any:
     """The cost of candidate initial states."""
     for i in range(N):
         workspace.start[0, i] = states[0, i]
-    return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]
+    return sweep_forward(chain, states, as_variable(True), workspace)[0]
 
 
 @merged
-def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
+def factorise(chain: Chain, states: FloatArray, workspace: Workspace) -> bool:
     """Factor the Hessian of one track, exact or else Gauss–Newton's; True if one was definite."""
     full = as_variable(True)
-    workspace.length[0] = n
     copy_rows(0, 1, states, workspace.start)
-    _, definite = sweep_forward(problem, track, n, states, full, workspace)
+    _, definite = sweep_forward(chain, states, full, workspace)
     if not definite:
-        _, definite = sweep_forward(problem, track, n, states, not full, workspace)
+        _, definite = sweep_forward(chain, states, not full, workspace)
     return definite

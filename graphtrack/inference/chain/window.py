@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+import threading
+import weakref
 from collections.abc import Mapping, Sequence
-from copy import copy
 from functools import lru_cache
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.covariance import calibration_of
-from graphtrack.inference.chain.window_arrays import FrameRows, Slot, pool_of, window_problem
 from graphtrack.inference.chain.window_kernels import (
     AS_SET,
     NOTHING,
@@ -20,23 +20,25 @@ from graphtrack.inference.chain.window_kernels import (
     TASK,
     Advanced,
     Rules,
+    Windows,
     advance,
+    window_problem,
 )
 from graphtrack.inference.state import (
     FAILURES,
     Angles,
+    MarginalPrior,
     Newest,
-    StatePrior,
     Window,
     leaving,
-    on_state,
-    on_variables,
 )
-from graphtrack.kernels.layout import N
-from graphtrack.model import Model, Step
+from graphtrack.kernels.layout import N, Problem
+from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
-from graphtrack.model.generator import program_of
-from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.model.generator import FrameProgram, program_of
+from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
+from graphtrack.model.term import FramePacker
+from graphtrack.model.terms.couplings import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""
@@ -45,8 +47,105 @@ _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
+SLOTS = 32  # Windows per block
 _LEAST_FRAMES = 64
-_KNOWN = (math.nan, math.nan)
+
+
+class Slot:
+    """The arrays of one window of a block, by their names in `Windows`."""
+
+    def __init__(self, windows: Windows, number: int) -> None:
+        self.windows, self.number = windows, number
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.windows, name)[self.number]
+
+
+class Pool:
+    """Blocks for the windows of a program, as many as are needed."""
+
+    def __init__(self, program: FrameProgram) -> None:
+        self._program, self._mutex = program, threading.RLock()
+        self.blocks: dict[int, tuple[Windows, list[int]]] = {}  # with the indices of their free slots
+
+    def slot(self, size: int) -> Slot:
+        """A slot with room for a number of frames, freed as garbage. Arrays are not cleared."""
+        with self._mutex:
+            for windows, free in self.blocks.values():
+                if free and windows.states.shape[1] == size:
+                    break
+            else:
+                windows, free = Windows.empty(self._program, size, SLOTS), list(range(SLOTS - 1, -1, -1))
+                self.blocks[id(windows)] = windows, free
+            slot = Slot(windows, free.pop())
+        weakref.finalize(slot, self._take_back, id(windows), slot.number).atexit = False
+        return slot
+
+    def _take_back(self, block: int, number: int) -> None:
+        with self._mutex:
+            free = self.blocks[block][1]
+            free.append(number)
+            if len(free) == SLOTS:
+                del self.blocks[block]
+
+
+@lru_cache(16)
+def pool_of(program: FrameProgram) -> Pool:
+    """One for all windows of a process."""
+    return Pool(program)
+
+
+class FrameRows:
+    """The frames of one person in the arrays of a problem.
+
+    Attributes
+    ----------
+    problem : the arrays, once they are made
+    rows : its records as rows of numbers: writing to their fields is slow
+    place : field of a record → its index in such a row
+    """
+
+    problem: Problem
+    rows: FloatArray
+
+    def __init__(self, model: Model) -> None:
+        self._program, self._packer = program_of(model), packer_of(model)
+        record = self._program.types.frame
+        self.place = {name: place_in_row(name, record) for name in record.names or ()}
+
+    def make(self, n: int, origin: FloatArray, prior: FloatArray) -> None:
+        """Make arrays for n frames; the other arguments are those of `Problem`, without the first axis."""
+        problem = window_problem(Windows.empty(self._program, n, 1), 0)
+        problem.origin[0], problem.offsets[1], problem.prior[:] = origin, n, prior
+        self.take(problem)
+
+    def take(self, problem: Problem) -> None:
+        """Use existing arrays."""
+        self.problem = problem
+        self.rows = number_rows(problem.records)
+        problem.shared[:] = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
+
+    def put(self, row: int, step: Step) -> PackedTracks:
+        """Write a step into a row; return the packed frame."""
+        observation, record, problem = step.observation, self.rows[row], self.problem
+        packed = self._packer(observation, step.dt, step.starts, step.camera)
+        record[:] = packed.numbers
+        if step.camera is not None:
+            problem.shared[:] = packed.shared  # the camera is part of it
+        record[self.place["dt"]] = 0.0 if step.dt is None else step.dt
+        for name, value in self._packer.live(observation):
+            record[self.place[name]] = value
+        if len(packed.body_heights):
+            problem.body_heights[row] = packed.body_heights[0]
+        if len(packed.head_heights):
+            problem.head_heights[row] = packed.head_heights[0]
+        return packed
+
+
+@lru_cache(16)
+def packer_of(model: Model) -> FramePacker:
+    """One object for all people tracked with a model, so that packed frames are shared."""
+    return FramePacker(model.compiled_terms, program_of(model).types)
 
 
 class ChainWindow:
@@ -86,13 +185,14 @@ class ChainWindow:
         """The steps of the window, oldest first."""
         return self._steps
 
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step of the window; NaN for variables outside the model."""
-        # The newest step is read at every observation.
-        back = 1
-        if step is not self._steps[-1]:
-            back = next(k for k, known in enumerate(reversed(self._steps), 1) if known.index == step.index)
-        return self._read(self._offsets[1] - back)
+    def states(self, last: int | None = None) -> FloatArray:
+        """States (n, 6) of the window's steps, or of its last ones; NaN for variables outside the model."""
+        begin, end = self._offsets.tolist()
+        states = self._states[begin if last is None else end - last : end].copy()
+        states[:, :2] += self._origin
+        outside = [False] * 4 + [not self._model.has_body, not self._model.has_head]
+        states[:, outside] = math.nan
+        return states
 
     @property
     def modes_before(self) -> FloatArray | None:
@@ -123,8 +223,7 @@ class ChainWindow:
 
     def restore(self, window: Window) -> None:
         """Replace the window without solving it."""
-        origin = window.values[window.steps[0].index][:2] if window.steps else (0.0, 0.0)
-        self._take(window, np.array(origin))
+        self._take(window, window.states[0, :2].copy() if window.steps else np.zeros(2))
 
     def arrays(self) -> dict[str, FloatArray]:
         """The arrays that reproduce the next estimates exactly, in addition to the window; see `resume`."""
@@ -138,18 +237,6 @@ class ChainWindow:
         if self._slot.classified[0]:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
-
-    def snapshot(self) -> ChainWindow:
-        """A copy from which `window` and `arrays` can be read later; it takes no further observations."""
-        kept, open_frames = copy(self), slice(*self._offsets.tolist())
-        arrays = {name: getattr(self._slot, name).copy() for name in _OF_WINDOW}
-        arrays |= {
-            name: getattr(self._slot, name)[open_frames].copy() for name in ("records", *_FACTORISATION)
-        }
-        kept._slot, kept._steps = SimpleNamespace(**arrays), list(self._steps)
-        kept._states, kept._offsets = self._states[open_frames].copy(), np.array([0, len(self._steps)])
-        kept._prior, kept._origin = arrays["prior"], arrays["origin"][0]
-        return kept
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Continue from `window` and `arrays`; KeyError or ValueError if these do not fit."""
@@ -172,8 +259,7 @@ class ChainWindow:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
         classified = self._slot.classified[0]
         if window.prior is not None:
-            prior[:] = np.vstack(on_state(window.prior, window.steps[0], self._model))
-            prior[N + 1, :2] -= origin
+            prior = window.prior.rows(origin)
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
         size = _size_for(len(window.steps))
@@ -186,7 +272,7 @@ class ChainWindow:
         self._has_prior, self._anchor = window.prior is not None, window.anchor
         for k, step in enumerate(window.steps):
             self._put(k, step, k > 0)
-            self._set(k, window.values[step.index])
+            self._set(k, window.states[k])
         self._offsets[1] = len(window.steps)
         self._steps = [step.alone() for step in window.steps]
         for k in range(1, len(window.steps)):
@@ -203,19 +289,18 @@ class ChainWindow:
     def window(self) -> Window:
         """The window from which another smoother can resume."""
         steps = tuple(self._steps)
-        values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
         prior = None
         if steps and self._has_prior:
             there = self._prior.copy()
             there[N + 1, :2] += self._origin
-            prior = on_variables(StatePrior(there[:N], there[N], there[N + 1]), steps[0], self._model)
-        return Window(steps, values, prior, self._anchor, self.modes_before)
+            prior = MarginalPrior(there[:N], there[N], there[N + 1])
+        return Window(steps, self.states(), prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------
 
     def _take_slot(self, size: int) -> None:
         """Take a cleared slot with room for a number of frames."""
-        self._slot: Slot | SimpleNamespace = pool_of(self._program).slot(size)
+        self._slot = pool_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
         self._clear()
@@ -243,17 +328,9 @@ class ChainWindow:
         self._warm = warm
         self._offsets[:] = 0, n
 
-    def _read(self, row: int) -> tuple[float, ...]:
-        x, y, vx, vy, body, head = self._states[row].tolist()
-        left, bottom = self._origin.tolist()
-        body = body if self._model.has_body else math.nan
-        return x + left, y + bottom, vx, vy, body, head if self._model.has_head else math.nan
-
     def _set(self, row: int, state: Sequence[float]) -> None:
-        left, bottom = self._origin.tolist()
-        x, y, vx, vy, body, head = state
-        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
-        self._states[row] = (x - left, y - bottom, vx, vy, *known)
+        self._states[row] = np.nan_to_num(state)
+        self._states[row, :2] -= self._origin
 
     def _put_next(self, step: Step) -> None:
         """Write a step into the row after the newest."""
@@ -333,21 +410,10 @@ def _advanced(
         (one._slot.number, adds, solves, one._warm, one._ambiguous, one._leaving(step) if solves else 0)
         for one, step in zip(windows, steps, strict=True)
     ]
-    guesses = np.array([_guess(step, first._model) for step in steps])
     found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 3), math.nan))
     gait = gait_of_model(first._model) if first._model.has_modes else None
-    advance(first._slot.windows, np.array(tasks, TASK), guesses, first._rules, gait, found)
+    advance(first._slot.windows, np.array(tasks, TASK), first._rules, gait, found)
     return found
-
-
-def _guess(step: Step, model: Model) -> Angles:
-    """Return initial angles for variables outside the model; NaN for those inside."""
-    if model.has_body and model.has_head:
-        return _KNOWN
-    observation = step.observation
-    body = next((one for one in (observation.body, observation.head) if one is not None), 0.0)
-    head = body if observation.head is None else observation.head
-    return math.nan if model.has_body else body, math.nan if model.has_head else head
 
 
 def _size_for(frames: int) -> int:

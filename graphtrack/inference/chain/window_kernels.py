@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import Calibration, add_lags, calibrate_frame, spread_newest
+from graphtrack.inference.chain.covariance import Calibration, add_lags, add_spread, calibrate_frame, hide
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -38,9 +38,8 @@ from graphtrack.inference.chain.newton import (
     whiten,
     workspace,
 )
-from graphtrack.inference.chain.window_arrays import Windows, memory_in, problem_in
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, N, Problem, X, Y
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums, X, Y
 from graphtrack.model.coupling_modes import (
     BODY_MODE,
     GLANCE,
@@ -54,10 +53,98 @@ from graphtrack.model.coupling_modes import (
     renew_couplings,
     report_modes,
 )
-from graphtrack.model.generator import add_frame, cut
-from graphtrack.model.terms.gait import Gait
-from graphtrack.model.terms.intentional_motion import steer
+from graphtrack.model.generator import FrameProgram, add_frame, cut
+from graphtrack.model.packing import CLASS_DIRECTIONS
+from graphtrack.model.terms.couplings import ROW, Gait
+from graphtrack.model.terms.motion import steer
 from graphtrack.model.terms.position import CAUCHY
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
+
+
+class Windows(NamedTuple):
+    """A block: the windows of S people, each of up to n frames. For the arrays see `Problem`, `Workspace`."""
+
+    records: np.ndarray  # (S, n)
+    shared: np.ndarray  # (S, 1)
+    body_heights: FloatArray  # (S, n, classes + 1)
+    head_heights: FloatArray
+    body_directions: FloatArray  # (classes, 2)
+    head_directions: FloatArray
+    origin: FloatArray  # (S, 1, 2)
+    offsets: NDArray[np.int64]  # (S, 2) the rows of the window
+    prior: FloatArray  # (S, 8, 6)
+    states: FloatArray  # (S, n, 6)
+    inverse: FloatArray  # (S, n, 6, 6)
+    link: FloatArray  # (S, n, 6, 6)
+    trigonometry: FloatArray  # (S, n, 4)
+    message: FloatArray  # (S, n, 7, 6)
+    factored: FloatArray  # (S, n, 6)
+    modes_before: FloatArray  # (S, 2, ROW) both couplings' modes in the frame before the window
+    classified: NDArray[np.bool_]  # (S, 1) True once class likelihoods of the head were observed
+
+    @classmethod
+    def empty(cls, program: FrameProgram, size: int, slots: int) -> Windows:
+        """A block for a number of windows, of up to ``size`` frames each."""
+        frames = (slots, size)
+        return cls(
+            np.zeros(frames, program.types.frame),
+            np.zeros((slots, 1), program.types.shared),
+            np.zeros((*frames, BODY_CLASSES + 1)),
+            np.zeros((*frames, HEAD_CLASSES + 1)),
+            *CLASS_DIRECTIONS,
+            np.zeros((slots, 1, 2)),
+            np.zeros((slots, 2), np.int64),
+            np.zeros((slots, N + 2, N)),
+            np.zeros((*frames, N)),
+            np.zeros((*frames, N, N)),
+            np.zeros((*frames, N, N)),
+            np.zeros((*frames, 4)),
+            np.zeros((*frames, N + 1, N)),
+            np.zeros((*frames, N)),
+            np.zeros((slots, 2, ROW)),
+            np.zeros((slots, 1), bool),
+        )
+
+
+def window_problem(windows: Windows, slot: int) -> Problem:
+    """View of one window for the kernels."""
+    return Problem(
+        windows.records[slot],
+        windows.shared[slot],
+        windows.body_heights[slot],
+        windows.head_heights[slot],
+        windows.body_directions,
+        windows.head_directions,
+        windows.origin[slot],
+        windows.offsets[slot],
+        windows.prior[slot],
+    )
+
+
+problem_in = allocating(window_problem)
+
+
+@allocating
+def memory_in(windows: Windows, slot: int, begin: int, memory: Workspace) -> Workspace:
+    """The memory of one window from row ``begin`` on: its factorisation, and temporary memory."""
+    return Workspace(
+        windows.inverse[slot, begin:],
+        windows.link[slot, begin:],
+        memory.solution,
+        memory.step,
+        memory.candidate,
+        windows.trigonometry[slot, begin:],
+        memory.scratch,
+        memory.start,
+        memory.ended,
+        windows.message[slot, begin:],
+        windows.factored[slot, begin:],
+        memory.kept,
+        memory.again,
+        memory.before,
+        memory.rival,
+    )
+
 
 _FAR = 0.5  # Radians beyond which a first guess is no better than constant angles
 _MOVED, _TURNED = 1e-2, 2e-3
@@ -74,13 +161,12 @@ _LEAP = 1.5
 
 @inner_allocating
 def solve_window(
-    problem: Problem,
+    chain: Chain,
     states: FloatArray,
     warm: bool,
     search: bool,
     keeps: bool,
-    max_iterations: int,
-    tolerance: float,
+    rules: Rules,
     memory: Workspace,
     covariance: FloatArray,
 ) -> bool:
@@ -90,95 +176,83 @@ def solve_window(
     ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
     becomes that of the newest frame.
     """
-    track, exactly, ended = the_only(problem), as_variable(True), memory.ended
-    n, last, tracks = len(states), len(states) - 1, np.zeros(1, np.int64)
+    problem, n, last, tracks = chain.problem, chain.n, chain.n - 1, np.zeros(1, np.int64)
+    exactly, ended = as_variable(True), memory.ended
     memory.kept[0], memory.kept[1] = 0, 1
-    memory.length[0] = n
     if warm and last > 0:
-        predict_newest(problem, states, memory)
+        predict_newest(chain, states, memory)
         if keeps:
             memory.kept[0] = settled(states[:last], memory.factored, 1.0)
     before = states[first_open(memory)].copy()
-    minimise(problem, track, n, states, max_iterations, tolerance, memory)
+    minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
     kept, memory.kept[0] = memory.kept[0], 0
     if ended[STATUS] != NOT_FINITE and kept > 0:
         follow(states, kept - 1, before, memory)
         if settled(states[:kept], memory.factored, 2.0) < kept:
             # They moved farther than predicted.
             kept = 0
-            minimise(problem, track, n, states, max_iterations, tolerance, memory)
+            minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
     if ended[STATUS] == NOT_FINITE:
         return False
-    cost, exact = ended[COST], ended[EXACT] > 0.0
-    again = np.empty((last + 1, N))
-    if is_astray(problem, track, states):
+    if is_astray(chain, states):
         # The loss is not convex: a track of false positions may need a search for another position.
-        if kept > 0:
-            kept = 0
-            cost = cost_of(problem, track, n, states, memory)
-        assign(again, states)
-        find_by_squares(problem, track, again, max_iterations, tolerance, memory)
+        copy_rows(0, n, states, memory.again)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
-        prior = problem.prior  # unchanged
-        cost, exact = move_if_less(
-            problem, states, again, cost, leap, prior, max_iterations, tolerance, memory
-        )
-    if search and find_other_basins(problem, tracks, problem, track, n, states, AT_END, memory):
-        assign(again, memory.again[:n])
-        if kept > 0:
-            cost = cost_of(problem, track, n, states, memory)
+        kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
+    if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
         prior = problem.prior.copy()
-        turn_prior(problem.prior, states, again)
-        cost, exact = move_if_less(
-            problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
-        )
-    if unwind(problem, track, n, states, 0.0, memory):
-        assign(again, memory.again[:n])
-        if kept > 0:
-            cost = cost_of(problem, track, n, states, memory)
-        prior = problem.prior
-        cost, exact = move_if_less(
-            problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
-        )
-    if not exact and not sweep_forward(problem, track, n, states, not exactly, memory)[1]:
+        turn_prior(problem.prior, states, memory.again)
+        kept = move_if_less(chain, states, 0.0, prior, kept, False, rules, memory)
+    if unwind(chain, states, 0.0, memory):
+        kept = move_if_less(chain, states, 0.0, problem.prior, kept, False, rules, memory)
+    if ended[EXACT] == 0.0 and not sweep_forward(chain, states, not exactly, memory)[1]:
         return False
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(states[last, i])
-    full, product = memory.scratch[0], memory.scratch[1]
-    marginal(
-        memory.inverse[last], memory.link[last], as_variable(False), covariance, full, product, covariance
-    )
+    full, product, linked = memory.scratch[0], memory.scratch[1], as_variable(False)
+    marginal(memory.inverse[last], memory.link[last], linked, covariance, full, product, covariance)
     return finite
 
 
-@inner_allocating
+@inner
 def move_if_less(
-    problem: Problem,
+    chain: Chain,
     states: FloatArray,
-    again: FloatArray,
-    cost: float,
     gain: float,
     prior: FloatArray,
-    max_iterations: int,
-    tolerance: float,
+    kept: int,
+    squares: bool,
+    rules: Rules,
     memory: Workspace,
-) -> tuple[float, bool]:
-    """Minimise from ``again`` and keep that if it gains more than ``gain``; the cost, and exactness."""
-    track, n, ended = the_only(problem), len(states), memory.ended
-    minimise(problem, track, n, again, max_iterations, tolerance, memory)
+) -> int:
+    """Minimise from ``memory.again``, and move there if that costs more than ``gain`` less.
+
+    Else the ``prior`` is restored. The cost so far leaves out ``kept`` frames; returns 0, as none is kept.
+    With ``squares`` the way there begins with squares in place of the robust loss.
+    """
+    ended, again, shared = memory.ended, memory.again, chain.problem.shared[0]
+    cost = cost_of(chain, states, memory) if kept > 0 else ended[COST]
+    if squares:
+        robust, shared.robust = shared.robust, 0.0
+        minimise(chain, again, rules.max_iterations, rules.tolerance, memory)
+        shared.robust = robust
+    minimise(chain, again, rules.max_iterations, rules.tolerance, memory)
     if ended[STATUS] != NOT_FINITE and ended[COST] < cost - gain:
         assign(states, again)
-        return ended[COST], ended[EXACT] > 0.0
-    assign(problem.prior, prior)
-    copy_rows(0, 1, states, memory.start)
-    return cost, sweep_forward(problem, track, n, states, as_variable(True), memory)[1]
+    else:
+        assign(chain.problem.prior, prior)
+        copy_rows(0, 1, states, memory.start)
+        definite = sweep_forward(chain, states, as_variable(True), memory)[1]
+        ended[COST], ended[EXACT] = cost, 1.0 if definite else 0.0
+    return 0
 
 
 @merged
-def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
+def is_astray(chain: Chain, states: FloatArray) -> bool:
     """Return True if the newest `_RUN` to `_LONGEST_RUN` positions are beyond the Cauchy loss's k."""
-    shared, offset, count = problem.shared[0], problem.offsets[track], 0
+    problem, track, count = chain.problem, chain.track, 0
+    shared, offset = problem.shared[0], problem.offsets[track]
     if shared.robust != CAUCHY:
         return False
     to_image = shared.to_image
@@ -197,17 +271,6 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
             break
         count += 1
     return _RUN <= count <= _LONGEST_RUN
-
-
-@merged
-def find_by_squares(
-    problem: Problem, track: int, states: FloatArray, max_iterations: int, tolerance: float, memory: Workspace
-) -> None:
-    """Minimise with squares in place of the robust loss, in place."""
-    robust = problem.shared[0].robust
-    problem.shared[0].robust = 0.0
-    minimise(problem, track, len(states), states, max_iterations, tolerance, memory)
-    problem.shared[0].robust = robust
 
 
 @inner
@@ -243,7 +306,7 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
     """Rotate the prior with a first frame that moved from ``states`` to another basin in ``again``."""
     for place in (BODY, HEAD):
         reference = states[0, place]
-        for k in range(len(again)):
+        for k in range(len(states)):
             again[k, place] -= 2.0 * math.pi * round((again[k, place] - reference) / (2.0 * math.pi))
             reference = again[k, place]
         turn = again[0, place] - states[0, place]
@@ -251,50 +314,31 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
             prior[N + 1, place] += turn
 
 
-@inner
-def the_only(problem: Problem) -> int:
-    """The index of the window's track, 0, as a variable: a constant would compile all functions again."""
-    return len(problem.offsets) - 2
+@inner_allocating
+def chain_of(problem: Problem) -> Chain:
+    """The frames of a window."""
+    n = problem.offsets[1] - problem.offsets[0]
+    # The index of the only track, 0, as a variable: functions are compiled again for each constant.
+    return Chain(problem, len(problem.offsets) - 2, n, float(n))
 
 
 @compiled
-def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
+def predict_newest(chain: Chain, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start."""
-    last = len(states) - 1
-    gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
-    memory.scratch[:] = 0.0
-    assign(hessians[0], memory.message[last - 1, :N])
-    every = as_variable(True)
-    note_turns(last - 1, states, memory.trigonometry)
-    add_frame(
-        problem,
-        the_only(problem),
-        last,
-        states[0],
-        states,
-        every,
-        every,
-        every,
-        memory.trigonometry,
-        gradients[0],
-        gradients[1],
-        hessians[0],
-        hessians[1],
-        transition,
-    )
+    last, every, scratch, turns = chain.n - 1, as_variable(True), memory.scratch, memory.trigonometry
+    sums_before, sums = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
+    transition = scratch[3]
+    scratch[:] = 0.0
+    assign(sums_before.hessian, memory.message[last - 1, :N])
+    note_turns(last - 1, states, turns)
+    problem, track, start = chain.problem, chain.track, states[0]
+    add_frame(problem, track, last, start, states, every, every, every, turns, sums_before, sums, transition)
     memory.solution[:last] = 0.0
-    if not eliminate(
-        hessians[0],
-        gradients[0],
-        transition,
-        hessians[1],
-        gradients[1],
-        memory.inverse[last - 1],
-        memory.link[last - 1],
-        memory.solution[last - 1],
-    ) or not invert_cholesky(hessians[1], memory.inverse[last]):
+    inverse, link, solution = memory.inverse[last - 1], memory.link[last - 1], memory.solution[last - 1]
+    definite = eliminate(sums_before, transition, sums, inverse, link, solution)
+    if not definite or not invert_cholesky(sums.hessian, memory.inverse[last]):
         return
-    whiten(memory.inverse[last], gradients[1], memory.solution[last])
+    whiten(memory.inverse[last], sums.gradient, memory.solution[last])
     sweep_back(last + 1, memory)
     for k in range(last + 1):
         for i in range(N):
@@ -327,40 +371,26 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
 @compiled
 def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, in the scratch; True if definite."""
-    scratch, inverse, turns = workspace.scratch, workspace.inverse[0], workspace.trigonometry
-    gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
-    # A first frame of 0 would be a constant, as in `the_only`.
-    transition, track, first = scratch[3], the_only(problem), len(states) - 2
-    clear(gradient, hessian, transition)
-    clear(gradient_after, hessian_after, transition)
-    every = as_variable(True)
+    scratch, turns = workspace.scratch, workspace.trigonometry
+    sums, sums_after = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
+    transition, every, start = scratch[3], as_variable(True), states[0]
+    # Constants of 0 would compile the functions again, as in `chain_of`.
+    track, first = len(problem.offsets) - 2, len(states) - 2
+    clear(sums, transition)
+    clear(sums_after, transition)
     for k, own in ((first, every), (first + 1, not every)):
         # The second frame's own terms stay in the window.
-        add_frame(
-            problem,
-            track,
-            k,
-            states[0],
-            states,
-            exact,
-            not own,
-            own,
-            turns,
-            gradient,
-            gradient if own else gradient_after,
-            hessian,
-            hessian if own else hessian_after,
-            transition,
-        )
-    add_prior(problem.prior, states[0], gradient, hessian)
+        here = sums if own else sums_after
+        add_frame(problem, track, k, start, states, exact, not own, own, turns, sums, here, transition)
+    add_prior(problem.prior, start, sums)
     for place in (BODY, HEAD):
         # An orientation outside the model, or without a link to the next frame.
-        if hessian_after[place, place] == 0.0:
-            hessian_after[place, place] = 1e-12
-    link, solution = workspace.link[0], workspace.solution[0]
-    if not eliminate(hessian, gradient, transition, hessian_after, gradient_after, inverse, link, solution):
+        if sums_after.hessian[place, place] == 0.0:
+            sums_after.hessian[place, place] = 1e-12
+    inverse, link, solution = workspace.inverse[0], workspace.link[0], workspace.solution[0]
+    if not eliminate(sums, transition, sums_after, inverse, link, solution):
         return False
-    return invert_cholesky(hessian_after, inverse)
+    return invert_cholesky(sums_after.hessian, inverse)
 
 
 TASK = np.dtype(
@@ -399,33 +429,32 @@ class Advanced(NamedTuple):
 
 
 @inner
-def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
-    """Initial values of a new frame: constant velocity, angles constant, or as in ``guess`` (2,)."""
+def predict_state(states: FloatArray, row: int, dt: float) -> None:
+    """Initial values of a new frame: constant velocity and angles."""
     before, state = states[row - 1], states[row]
     state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
-    state[VX], state[VY] = before[VX], before[VY]
-    state[BODY] = before[BODY] if math.isnan(guess[0]) else guess[0]
-    state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
+    for i in range(VX, N):
+        state[i] = before[i]
 
 
 @compiled
 def report(
-    windows: Windows,
-    slot: int,
+    problem: Problem,
+    state: FloatArray,
     rules: Rules,
     covariance: FloatArray,
     lags: FloatArray,
     p: int,
     advanced: Advanced,
 ) -> None:
-    """Report the newest frame of a window; ``lags`` (5,) is memory."""
-    state, reported = windows.states[slot, windows.offsets[slot, 1] - 1], advanced.covariance[p]
+    """Report the newest frame of a window, a ``state`` (6,); ``lags`` (5,) is memory."""
+    reported = advanced.covariance[p]
     for i in range(N):
         advanced.state[p, i] = state[i]
         for j in range(N):
             reported[i, j] = covariance[i, j]
-    advanced.state[p, X] += windows.origin[slot, 0, 0]
-    advanced.state[p, Y] += windows.origin[slot, 0, 1]
+    advanced.state[p, X] += problem.origin[0, X]
+    advanced.state[p, Y] += problem.origin[0, Y]
     if not rules.has_body:
         hide(BODY, advanced.state[p], reported)
     if not rules.has_head:
@@ -434,61 +463,43 @@ def report(
     calibrate_frame(reported, lags, rules.calibration)
 
 
-@inner
-def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
-    """Set variables outside the model to NaN."""
-    state[place] = math.nan
-    for i in range(N):
-        covariance[i, place] = covariance[place, i] = math.nan
-
-
 @allocating
-def advance(
-    windows: Windows, tasks: np.ndarray, guesses: FloatArray, rules: Rules, gait: Any, advanced: Advanced
-) -> None:
+def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanced: Advanced) -> None:
     """Add one observation, or a change, to each of some windows of a block.
 
     Parameters
     ----------
     tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
-    guesses : (P, 2) as in `predict_state`
     rules : of all windows
     gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
-    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
+    memory, before, covariances = workspace(size), np.empty((size, N)), np.empty((1, N, N))
+    covariance = covariances[0]
     # Coupling modes change the couplings of all frames: no factorisation is kept.
     keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
         problem = problem_in(windows, slot)
-        kept = add_newest(problem, windows.states[slot], task.adds, guesses[p], before)
+        kept = add_newest(problem, windows.states[slot], task.adds, before)
         begin, end = problem.offsets[0], problem.offsets[1]
         states, own = windows.states[slot, begin:end], memory_in(windows, slot, begin, memory)
+        chain = chain_of(problem)
         if gait is not None:
-            classified = infer_couplings(windows, task, problem, states, own, gait, modes)
+            classified = infer_couplings(windows, task, chain, states, own, gait, modes)
             report_modes(1, 0, modes.held[end - begin - 1 :], advanced.modes[p : p + 1])
         if task.solves != 0:
-            advanced.fine[p] = solve_window(
-                problem,
-                states,
-                task.warm != 0,
-                task.searches != 0,
-                keeps,
-                rules.max_iterations,
-                rules.tolerance,
-                own,
-                covariance,
-            )
+            warm, searches = task.warm != 0, task.searches != 0
+            advanced.fine[p] = solve_window(chain, states, warm, searches, keeps, rules, own, covariance)
             if not advanced.fine[p]:
                 problem.offsets[1] = begin + kept
                 assign(states[:kept], before[:kept])
                 continue
             if gait is not None:
-                spread_newest(problem, end - begin, states, modes.spread, own, covariance)
+                add_spread(chain, states, modes.spread, own, chain.n - 1, covariances)
                 covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
-            report(windows, slot, rules, covariance, lags, p, advanced)
+            report(problem, states[chain.n - 1], rules, covariance, lags, p, advanced)
             for k in range(task.leave):
                 oldest = problem.offsets[0]
                 here = windows.states[slot, oldest : oldest + 2]
@@ -501,13 +512,13 @@ def advance(
 
 
 @merged
-def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
+def add_newest(problem: Problem, states: FloatArray, adds: int, before: FloatArray) -> int:
     """Save the states in ``before`` and add the frame after the newest; returns the previous number."""
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
         if adds == PREDICTED:
-            predict_state(states, end, problem.records[end].dt, guess)
+            predict_state(states, end, problem.records[end].dt)
         problem.offsets[1] = end + 1
     return int(end - begin)
 
@@ -532,22 +543,20 @@ def carry_over(before: Any, after: Any, rate_observed: float) -> None:
 def infer_couplings(
     windows: Windows,
     task: Any,
-    problem: Problem,
+    chain: Chain,
     states: FloatArray,
     own: Workspace,
     gait: Gait,
     modes: ModeMemory,
 ) -> bool:
     """Recompute the couplings of a window from its states; True if a frame has class likelihoods."""
-    slot, n, end = task.slot, len(states), problem.offsets[1]
-    if task.warm != 0 and task.adds != NOTHING and n > 1:
+    problem, slot, end = chain.problem, task.slot, chain.problem.offsets[1]
+    if task.warm != 0 and task.adds != NOTHING and chain.n > 1:
         # Modes depend on the states: first the states are updated with the new observation.
         carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_observed)
-        predict_newest(problem, states, own)
+        predict_newest(chain, states, own)
         task.warm = 0
-    classified = bool(windows.classified[slot, 0]) or classified_in(problem, the_only(problem))[1]
+    classified = bool(windows.classified[slot, 0]) or classified_in(problem, chain.track)[1]
     assign(modes.before, windows.modes_before[slot])
-    renew_couplings(
-        problem, the_only(problem), n, float(n), states, gait, classified, as_variable(True), modes
-    )
+    renew_couplings(chain, states, gait, classified, as_variable(True), modes)
     return classified

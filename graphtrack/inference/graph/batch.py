@@ -12,24 +12,24 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
-from graphtrack.inference.chain.batch import PASSES
-from graphtrack.inference.chain.covariance import calibrate, calibration_of
-from graphtrack.inference.chain.initialisation import initial_states
-from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.result import (
+from graphtrack.inference.chain.batch import PASSES, never_observed
+from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
+from graphtrack.inference.chain.initialisation import initial_states, observed_angles, pack
+from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     estimated_tracks,
+    has_own_kernels,
+    make_solver_ready,
     not_finite,
-    seconds_to_ends,
     with_extreme,
 )
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
-from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.anchor import ANCHOR_KAPPA
+from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
@@ -58,7 +58,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
 def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
     """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
-        return [window.prior.factor()]
+        return [window.prior.factor(window.steps[0], model)]
     if not window.steps or window.anchor is None or window.steps[0].dt is not None:
         return []
     step, (body, head) = window.steps[0], window.anchor
@@ -125,10 +125,11 @@ def smooth_graph(
     """
     options = SolverOptions() if options is None else options
     initial = initial_states(track, model)
-    steps = chain(track, camera)
-    view = _view(track, model, camera, steps)
     first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
+    steps = chain(track, camera)
+    view = _view(model, steps, first)
+    body, head = first[0, 4:].tolist()
+    window = Window(tuple(steps), first, None, (body, head))
     # With coupling modes the factors read the couplings from the view; else these are constant.
     graph = window_graph(window, model, None if view is None else view.couplings)
     values = values_of(steps, first, model)
@@ -143,7 +144,9 @@ def smooth_graph(
         if view is not None and model.has_modes:
             # Without couplings an orientation that was never observed is undetermined, and drifts.
             states = states_of(values, steps, model)
-            states[:, 4:] = np.where(view.guessed(), first[:, 4:], states[:, 4:])
+            packed = pack([track], model.compiled, camera)
+            guessed = never_observed(packed, observed_angles(packed, model))
+            states[:, 4:] = np.where(guessed, first[:, 4:], states[:, 4:])
             values = values_of(steps, states, model)
             # Class likelihoods have basins that only the couplings distinguish.
             again = descent.lower if any(step.is_ambiguous for step in steps) else descent
@@ -159,17 +162,18 @@ def smooth_graph(
     states = states_of(values, steps, model)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
-    calibrate(covariance, states, seconds_to_ends(track.t), calibration_of(model.parameters))
+    offsets, t = np.array([0, len(track)]), track.t - track.t[0]
+    calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 3), np.nan) if view is None else view.modes
-    (estimate,) = estimated_tracks([track], np.array([0, len(track)]), states, covariance, modes)
+    (estimate,) = estimated_tracks([track], offsets, states, covariance, modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 
 
-def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequence[Step]) -> ChainView | None:
+def _view(model: Model, steps: Sequence[Step], states: FloatArray) -> ChainView | None:
     """The kernels' view of a track, unless an engine would have to be compiled for user-defined terms."""
     known = model.compiled
     if has_own_kernels(model) and not model.has_modes:
@@ -177,7 +181,9 @@ def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequen
         if not outliers and not any(step.is_ambiguous for step in steps):
             return None
         make_solver_ready(known, "gtsam", complete=True)
-    return ChainView(track, known, camera)
+    view = ChainView(known)
+    view.follow(steps, states, None, whole=True)
+    return view
 
 
 @dataclass(frozen=True)

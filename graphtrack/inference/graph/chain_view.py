@@ -6,17 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import find_other_basin, unwind
-from graphtrack.inference.chain.batch import never_observed
 from graphtrack.inference.chain.covariance import spread_track
-from graphtrack.inference.chain.initialisation import observed_angles, pack, problem_of
 from graphtrack.inference.chain.newton import Workspace, workspace
-from graphtrack.inference.chain.window import gait_of_model
-from graphtrack.inference.chain.window_arrays import FrameRows
-from graphtrack.inference.state import MarginalPrior, on_state
-from graphtrack.kernels.layout import N, Problem
+from graphtrack.inference.chain.window import FrameRows, gait_of_model
+from graphtrack.inference.state import MarginalPrior
+from graphtrack.kernels.layout import Chain, N
 from graphtrack.model import Model, Step
 from graphtrack.model.coupling_modes import (
     add_glance_variance,
@@ -27,29 +23,48 @@ from graphtrack.model.coupling_modes import (
 )
 from graphtrack.model.factors import couplings_of
 from graphtrack.model.generator import program_of
-from graphtrack.model.terms.gait import ROW
-from graphtrack.tracks.track import Track
+from graphtrack.model.terms.couplings import ROW
 
 
-class _View:
-    """Frames packed for the kernels. User-defined terms without a kernel are ignored.
+class ChainView:
+    """Steps of a track packed for the kernels. User-defined terms without a kernel are ignored.
+
+    Parameters
+    ----------
+    model : with its compiled terms
+    couplings : index of a step → values that its factors read; None for a model without modes
 
     Attributes
     ----------
-    couplings : index of a step → values that its factors read
     modes : (n, 3) as in `chain.newton.Result`; NaN until `renew`
     before : (2, ROW) probabilities of both couplings' modes in the previous frame
     """
 
     def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None = None) -> None:
-        self._model, self._program = model, program_of(model)
+        self._model, self._program, self._frames = model, program_of(model), FrameRows(model)
         self.couplings = {} if couplings is None else couplings
         self.before = np.zeros((2, ROW))
-        self._problem: Problem
+        self._steps: Sequence[Step] = ()
+        self._filtered = np.empty((2, 0, ROW))
 
-    def _start(self, problem: Problem, n: int) -> None:
-        """Take a problem of n frames with unknown modes."""
-        self._problem = problem
+    def follow(
+        self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None, whole: bool = False
+    ) -> None:
+        """Take steps with states (n, 6), and the data of the first; ``whole``: all of a track."""
+        n, known = len(steps), [step.index for step in self._steps]
+        gone = known.index(steps[0].index) if steps[0].index in known else len(known)
+        if 0 < gone <= len(self._filtered[0]):
+            self.before = self._filtered[:, gone - 1].copy()
+        origin = states[0, :2].copy()
+        self._frames.make(n, origin, np.zeros((N + 2, N)) if prior is None else prior.rows(origin))
+        for row, step in enumerate(steps):
+            self._frames.put(row, step)
+        for name in self._program.links:
+            # They are part of the prior, or link to steps outside the window.
+            self._frames.rows[0, self._frames.place[name]] = 0.0
+        self._steps, self._whole = steps, whole
+        self._problem = self._frames.problem
+        self._chain = Chain(self._problem, 0, n, float(n))
         self.modes, self._spread, self._held = np.full((n, 3), np.nan), np.zeros((n, 2)), np.zeros((n, 4))
         self._filtered = np.empty((2, 0, ROW))
 
@@ -59,15 +74,14 @@ class _View:
             return None
         here = self._here(states)
         memory = workspace(len(here))
-        found = find_other_basin(self._problem, 0, here, near, memory)
+        found = find_other_basin(self._chain, here, near, memory)
         return self._there(memory) if found else self.unwound(states)
 
     def unwound(self, states: FloatArray) -> FloatArray | None:
         """States (n, 6) with slow turns of more than 180° reversed; None without any."""
         here = self._here(states)
         memory = workspace(len(here))
-        memory.length[0] = len(here)
-        return self._there(memory) if unwind(self._problem, 0, len(here), here, 0.0, memory) else None
+        return self._there(memory) if unwind(self._chain, here, 0.0, memory) else None
 
     def _there(self, memory: Workspace) -> FloatArray:
         """The alternative states in the memory, in the world's frame."""
@@ -82,7 +96,7 @@ class _View:
         memory = mode_memory(n)
         memory.before[:] = self.before
         _, classified = classified_in(self._problem, 0)
-        renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
+        renew_couplings(self._chain, here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])
         self._spread, self._held = memory.spread, memory.held
@@ -93,27 +107,16 @@ class _View:
         """Add the uncertainty of the modes to covariances (n, 6, 6) at states (n, 6), in place."""
         memory = workspace(len(states))
         here = self._here(states)
-        spread_track(self._problem, len(here), here, self._spread, memory, covariance)
+        spread_track(self._chain, here, self._spread, memory, covariance)
         add_glance_variance(len(here), self._held, gait_of_model(self._model), covariance)
 
     def _note(self) -> None:
-        raise NotImplementedError
-
-    def _here(self, states: FloatArray) -> FloatArray:
-        """The states for the kernels: relative to the track's origin, and 0 outside the model."""
-        here = np.nan_to_num(states)
-        here[:, :2] -= self._problem.origin[0]
-        return here
-
-
-class ChainView(_View):
-    """A whole track; its couplings are those of the model until `decouple` or `renew`."""
-
-    def __init__(self, track: Track, model: Model, camera: GroundCamera | None) -> None:
-        super().__init__(model)
-        self._packed = pack([track], model, camera)
-        self._start(problem_of(self._packed), len(track))
-        self._note()
+        rows = couplings_of(self._problem.records[: len(self._steps)])
+        # Links of the first step to the previous one are cut here, and may not be in the graph.
+        first = 0 if self._whole else 1
+        for step, row in zip(self._steps[first:], rows[first:], strict=True):
+            self.couplings[step.index] = row
+        self.couplings.setdefault(self._steps[0].index, rows[0])
 
     def decouple(self) -> None:
         """Switch off the couplings, and the steering by the head."""
@@ -121,64 +124,8 @@ class ChainView(_View):
             self._problem.records[gate] = 0.0
         self._note()
 
-    def guessed(self) -> BoolArray:
-        """(n, 2) orientations of body and head that only couplings hold (see `never_observed`)."""
-        return never_observed(self._packed, observed_angles(self._packed, self._model))
-
-    def _note(self) -> None:
-        if self._model.has_modes:
-            self.couplings.update(enumerate(couplings_of(self._problem.records)))
-
-
-class WindowView(_View):
-    """The steps of a smoother's window; ``couplings`` are those of its factors, or None."""
-
-    def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None) -> None:
-        super().__init__(model, couplings)
-        self._frames = FrameRows(model)
-        self._steps: list[Step] = []
-
-    def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
-        """Replace the steps, with states (n, 6), and the data of the first."""
-        n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
-        old = self._problem if known else None
-        gone = known.get(steps[0].index, len(known))
-        if 0 < gone <= self._filtered.shape[1]:
-            self.before = self._filtered[:, gone - 1].copy()
-        about = np.zeros((N + 2, N))
-        if prior is not None:
-            about[:] = np.vstack(on_state(prior, steps[0], self._model))
-            about[N + 1, :2] -= states[0, :2]
-        self._frames.make(n, states[0, :2].copy(), np.array([0, n]), about)
-        problem = self._frames.problem
-        if old is not None:
-            problem.shared[:] = old.shared
-        for row, step in enumerate(steps):
-            there = known.get(step.index)
-            # The links of a first row were cut.
-            if there is None or row > there == 0 or not _is_same(self._steps[there], step):
-                self._frames.put(row, step)
-                continue
-            for name in ("records", "body_heights", "head_heights"):
-                getattr(problem, name)[row] = getattr(old, name)[there]
-        for name in self._program.links:
-            # They are part of the prior, or link to steps outside the window.
-            self._frames.rows[0, self._frames.place[name]] = 0.0
-        self._steps = list(steps)
-        self._start(problem, n)
-
-    def _note(self) -> None:
-        rows = couplings_of(self._problem.records[: len(self._steps)])
-        # Links of the first step to the previous one are cut here, and may not be in the graph.
-        for step, row in zip(self._steps[1:], rows[1:], strict=True):
-            self.couplings[step.index] = row
-        self.couplings.setdefault(self._steps[0].index, rows[0])
-
-
-def _is_same(known: Step, step: Step) -> bool:
-    """Return True if a step was packed; the first of a window has lost its link to the previous one."""
-    return (
-        known.index == step.index
-        and known.observation is step.observation
-        and (known.dt == step.dt or step.dt is None)
-    )
+    def _here(self, states: FloatArray) -> FloatArray:
+        """The states for the kernels: relative to the track's origin, and 0 outside the model."""
+        here = np.nan_to_num(states)
+        here[:, :2] -= self._problem.origin[0]
+        return here

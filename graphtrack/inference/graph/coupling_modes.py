@@ -11,19 +11,28 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
+from graphtrack.inference.chain.window import packer_of
+from graphtrack.inference.engines import SolverOptions, make_online_ready
 from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
-from graphtrack.inference.graph.chain_view import WindowView
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
-from graphtrack.inference.result import SolverOptions
-from graphtrack.inference.state import FAILURES, MarginalPrior, Newest, Window, leaving, read_step, values_of
-from graphtrack.inference.warm import make_online_ready
+from graphtrack.inference.state import (
+    EMPTY,
+    FAILURES,
+    MarginalPrior,
+    Newest,
+    Window,
+    leaving,
+    states_of,
+    values_of,
+)
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
-_RECOUPLED = 0.01  # Relative change of a coupling from which a step's factors are re-evaluated
+_RECOUPLED = 0.05  # Relative change of a coupling from which a step's factors are re-evaluated
 _REST = 0.5  # Seconds without basin search after a descent without improvement
 _SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # For the descent in another basin
 
@@ -55,23 +64,25 @@ class CouplingModeSmoother:
         lag: float,
         couplings: dict[int, Sequence[float]] | None = None,
     ) -> None:
-        self.graph, self._model, self._couplings = graph, model, couplings
+        self.graph, self._couplings = graph, couplings
         self._model = model.compiled
+        # A frame is packed once for factors and kernels.
+        model.packer = packer_of(self._model)
         self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
-        self._view: WindowView | None
+        self._view: ChainView | None
         self._searches: bool
         self._search_from: float
-        self._take(Window((), {}, None, None))
+        self._take(EMPTY)
 
     @property
     def steps(self) -> Sequence[Step]:
         """The steps of the window, oldest first."""
         return self.graph.steps
 
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step."""
-        return self.graph.state(step)
+    def states(self, last: int | None = None) -> FloatArray:
+        """States (n, 6) of the window's steps, or of its last ones."""
+        return self.graph.states(last)
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; return its estimate."""
@@ -79,7 +90,7 @@ class CouplingModeSmoother:
             self._notice([step])
             if self._couplings is not None:
                 recent = self._recent(self.steps)
-                states = np.array([*map(self.state, recent), tuple(state)])
+                states = np.vstack([self.states(len(recent)), state])
                 self._infer([*recent, step], states, self._prior(recent))
             self.graph.extend(step, state)
             return self._with_modes()
@@ -117,8 +128,7 @@ class CouplingModeSmoother:
             return
         first = len(steps) - len(self._recent(steps))
         first = next((k for k, step in enumerate(steps[:first]) if step.index not in couplings), first)
-        states = np.array([window.values[step.index] for step in steps[first:]])
-        self._infer(steps[first:], states, None if first else window.prior)
+        self._infer(steps[first:], window.states[first:], None if first else window.prior)
 
     def _infer(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Set the couplings of some steps, if there are any, by the modes given their states (n, 6)."""
@@ -135,10 +145,10 @@ class CouplingModeSmoother:
             self._searches = True
             self._view = self._view or self._look()
 
-    def _look(self, modes: FloatArray | None = None) -> WindowView:
+    def _look(self, modes: FloatArray | None = None) -> ChainView:
         """A view of the window, with the modes before it."""
         make_online_ready(self._model, "isam2")
-        view = WindowView(self._model, self._couplings)
+        view = ChainView(self._model, self._couplings)
         view.before = view.before if modes is None else modes
         return view
 
@@ -150,15 +160,12 @@ class CouplingModeSmoother:
         """Return the prior of the first recent step."""
         return self.graph.prior() if len(recent) == len(self.steps) else None
 
-    def _states(self, steps: Sequence[Step]) -> FloatArray:
-        return np.array([self.state(step) for step in steps])
-
     def _with_modes(self) -> Newest:
         """Return the newest step's estimate once couplings and basin agree with the states."""
         if self._view is None:
             return self.graph.settled()
         recent = self._recent(self.steps)
-        states, couplings = self._states(recent), {} if self._couplings is None else self._couplings
+        states, couplings = self.states(len(recent)), {} if self._couplings is None else self._couplings
         if len(recent) == len(self.steps):
             for index in couplings.keys() - {step.index for step in recent}:
                 del couplings[index]
@@ -173,7 +180,7 @@ class CouplingModeSmoother:
                     and is_recoupled(before.get(step.index), couplings[step.index], _RECOUPLED)
                 ]
                 self.graph.recouple(changed)
-                newest, states = self.graph.settled(), self._states(recent)
+                newest, states = self.graph.settled(), self.states(len(recent))
                 if self._searches and (found := self._moved(recent, states)) is not None:
                     newest, states = found
         except FAILURES:
@@ -193,23 +200,22 @@ class CouplingModeSmoother:
         if other is None:
             return None
         window = self.graph.window()
-        body, head = (other[0] - states[0])[4:].tolist()
-        turns = {recent[0].body_key: body, recent[0].head_key: head}
-        prior = None if window.prior is None else window.prior.turned(turns, AT_END)
-        here = replace(window, steps=tuple(recent))
+        here = there = replace(window, steps=tuple(recent), states=states, prior=self._prior(recent))
+        if here.prior is not None:
+            there = replace(here, prior=here.prior.turned((other[0] - states[0])[4:], AT_END))
         # From here, too: one or two Gauss–Newton steps per observation may not have converged.
         values, costs = self._descent(here, states)
-        values_there, costs_there = self._descent(replace(here, prior=prior), other)
+        values_there, costs_there = self._descent(there, other)
         if costs_there[-1] < costs[-1]:
-            window, values = replace(window, prior=prior), values_there
+            window, values = replace(window, prior=there.prior or window.prior), values_there
         least = min(costs[-1], costs_there[-1])
         if not least < costs[0] - _SEARCH.relative_tolerance * (1.0 + costs[0]):
             self._search_from = t + _REST
             return None
-        known = {step.index: self.state(step) for step in window.steps}
-        known |= {step.index: read_step(values, step, self._model) for step in recent}
-        self.graph.restore(replace(window, values=known))
-        return self.graph.settled(), self._states(recent)
+        earlier = self.states()[: len(window.steps) - len(recent)]
+        found = np.vstack([earlier, states_of(values, recent, self._model)])
+        self.graph.restore(replace(window, states=found))
+        return self.graph.settled(), self.states(len(recent))
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
         """Return the end of a descent from states (n, 6) of a window, and the cost at each step."""

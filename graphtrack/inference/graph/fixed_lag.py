@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance, keys_of
 from graphtrack.inference.state import (
+    EMPTY,
     MarginalPrior,
     Newest,
     Window,
     finite,
     leaving,
-    marginal_prior,
     states_of,
     values_of,
     variable_keys,
@@ -57,7 +58,7 @@ class FixedLag:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
         # The complete state, with the newest estimate once solved: replaced, never changed.
-        self._window = Window((), {}, None, None)
+        self._window = EMPTY
         self._newest: Newest | None = None
         # A cache of the window's factors.
         self._factors: dict[Step, gtsam.NonlinearFactorGraph] = {}
@@ -67,16 +68,16 @@ class FixedLag:
         """The steps of the window, oldest first."""
         return self._window.steps
 
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step of the window."""
-        return self._window.values[step.index]
+    def states(self, last: int | None = None) -> FloatArray:
+        """States (n, 6) of the window's steps, or of its last ones."""
+        return self._window.states[0 if last is None else len(self.steps) - last :]
 
     def extend(self, step: Step, state: Sequence[float]) -> None:
         """Add a step whose variables start at ``state``."""
         before = self._window
-        steps, values = (*before.steps, step), {**before.values, step.index: tuple(state)}
+        steps, states = (*before.steps, step), np.vstack([before.states, state])
         anchor = before.anchor if before.steps else (state[4], state[5])
-        self._newest = self._solve(replace(before, steps=steps, values=values, anchor=anchor))
+        self._newest = self._solve(replace(before, steps=steps, states=states, anchor=anchor))
 
     def recouple(self, steps: Sequence[Step]) -> None:
         """Re-evaluate the couplings of some steps."""
@@ -119,14 +120,13 @@ class FixedLag:
         graph = gtsam.NonlinearFactorGraph(start)
         for step in steps:
             graph.push_back(self._factors[step])
-        begun = values_of(steps, np.array([window.values[step.index] for step in steps]), self._model)
+        begun = values_of(steps, window.states, self._model)
         values, bayes_net = self._optimize(graph, begun, steps)
         states = states_of(values, steps, self._model)
         newest = steps[-1]
         last = gtsam.Marginals(_last(bayes_net, variable_keys(newest, self._model)), values)
         known = finite(states[-1]), joint_covariance(last, newest, self._model)
-        estimates = {step.index: tuple(state) for step, state in zip(steps, states.tolist(), strict=True)}
-        self._window = self._slide(replace(window, values=estimates), values, start)
+        self._window = self._slide(replace(window, states=states), values, start)
         return known
 
     def _optimize(
@@ -165,8 +165,8 @@ class FixedLag:
             (own if past.isdisjoint(factor.keys()) else graph).push_back(factor)
         _, remaining = graph.linearize(values).eliminatePartialSequential(gtsam.Ordering(keys))
         steps = (first, *window.steps[n + 1 :])
-        left = {step.index: window.values[step.index] for step in steps}
-        return Window(steps, left, marginal_prior(gtsam.HessianFactor(remaining), values), None)
+        prior = MarginalPrior.of(gtsam.HessianFactor(remaining), first, values, self._model)
+        return Window(steps, window.states[n:], prior, None)
 
 
 def _last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int]) -> gtsam.GaussianFactorGraph:

@@ -13,18 +13,20 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import beginning, graph_of, joint_covariance, keys_of
 from graphtrack.inference.state import (
+    EMPTY,
     Angles,
     MarginalPrior,
     Newest,
     Window,
     finite,
     leaving,
-    marginal_prior,
     present,
     read_step,
+    states_of,
     values_of,
     variable_keys,
 )
+from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
@@ -76,7 +78,7 @@ class Isam2:
     ) -> None:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._threshold, self._max_iterations = relinearize_threshold, max_iterations
-        self._tolerance = max(relinearize_threshold, step_tolerance)
+        self._tolerance = max(2.0 * relinearize_threshold, step_tolerance)
         self._classified = False
         self.steps: list[Step]
         self._anchor: Angles | None
@@ -86,13 +88,17 @@ class Isam2:
         # Saved estimates of a full history: of all steps, and of the later steps.
         self._estimates: gtsam.Values
         self._since: dict[int, tuple[float, ...]]
-        self._waiting: Window | None = Window((), {}, None, None)
+        self._waiting: Window | None = EMPTY
         self._build_waiting()
 
-    def state(self, step: Step) -> tuple[float, ...]:
-        """x, y, vx, vy, body, head of a step; NaN for variables outside the model."""
+    def states(self, last: int | None = None) -> FloatArray:
+        """States (n, 6) of all steps, or of the last ones; NaN for variables outside the model."""
+        begin = 0 if last is None else len(self.steps) - last
         if self._waiting is not None:
-            return self._waiting.values[step.index]
+            return self._waiting.states[begin:]
+        return np.array([self._state(step) for step in self.steps[begin:]]).reshape(-1, N)
+
+    def _state(self, step: Step) -> tuple[float, ...]:
         isam, nan = self.isam, math.nan
         return (
             *isam.calculateEstimatePoint2(step.position_key).tolist(),
@@ -111,7 +117,8 @@ class Isam2:
         factors = self._model.factors(step, self._couplings)
         if not self.steps:
             self._anchor = (state[4], state[5])
-            factors += beginning(Window((step,), {}, None, self._anchor), self._model, ANCHOR_KAPPA)
+            window = Window((step,), np.array([state]), None, self._anchor)
+            factors += beginning(window, self._model, ANCHOR_KAPPA)
         values = values_of([step], np.array([state]), self._model)
         self.steps.append(step)
         self._note(step, factors, self._update(factors, values))
@@ -143,11 +150,11 @@ class Isam2:
         vars(self).update(memory)
         self._held = self.isam.getLinearizationPoint()
         if is_changed:
-            values = {
-                step.index: self._since.get(step.index) or read_step(self._estimates, step, self._model)
+            states = [
+                self._since.get(step.index) or read_step(self._estimates, step, self._model)
                 for step in self.steps
-            }
-            self.restore(Window(tuple(self.steps), values, self.prior(), self._anchor))
+            ]
+            self.restore(Window(tuple(self.steps), np.array(states), self.prior(), self._anchor))
 
     # -- iSAM2 ---------------------------------------------------------------------------------------------
 
@@ -186,7 +193,7 @@ class Isam2:
                 break
             self._update()
         newest = self.steps[-1]
-        state = self.state(newest)
+        state = self._state(newest)
         known = finite(state), joint_covariance(self.isam, newest, self._model)
         if self._lag == math.inf:
             self._since[newest.index] = state
@@ -236,7 +243,7 @@ class Isam2:
         firm = window if window.prior is None else replace(window, prior=window.prior.firm(ANCHOR_KAPPA))
         held = beginning(firm, self._model, ANCHOR_KAPPA)
         factors = [self._model.factors(step, self._couplings) for step in steps]
-        values = values_of(steps, np.array([window.values[step.index] for step in steps]), self._model)
+        values = values_of(steps, window.states, self._model)
         graph = graph_of([*held, *(factor for own in factors for factor in own)])
         indices = iter(isam.update(graph, values).getNewFactorsIndices() if steps else ())
         self.isam, self._waiting, self.steps, self._anchor = isam, None, list(steps), window.anchor
@@ -262,8 +269,8 @@ class Isam2:
         if self._waiting is not None:
             return self._waiting
         points = self.isam.getLinearizationPoint()
-        values = {step.index: read_step(points, step, self._model) for step in self.steps}
-        return Window(tuple(self.steps), values, self.prior(), self._anchor)
+        states = states_of(points, self.steps, self._model)
+        return Window(tuple(self.steps), states, self.prior(), self._anchor)
 
     def prior(self) -> MarginalPrior | None:
         """The prior of the first step, from all marginalised steps, about its linearisation point."""
@@ -275,7 +282,7 @@ class Isam2:
         graph = gtsam.GaussianFactorGraph()
         for index in self._marginals:
             graph.push_back(factors.at(index).linearize(points))
-        return marginal_prior(gtsam.HessianFactor(graph), points)
+        return MarginalPrior.of(gtsam.HessianFactor(graph), self.steps[0], points, self._model)
 
 
 def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:

@@ -196,7 +196,7 @@ class _Reader:
                 found.append(self._observation(element, int(number)))
                 self._objects += 1
         if not found:
-            raise InputError("no objects in frames", "at least one", path=self._source.path)
+            raise self._source.fail("no objects in frames", "at least one")
         return found
 
     def _root(self) -> Element:
@@ -277,7 +277,7 @@ class _Reader:
 
     def _fail(self, found: str, expected: str, column: str) -> InputError:
         line = _line_of_object(self._source, self._objects)
-        return InputError(found, expected, path=self._source.path, line=line, column=column)
+        return self._source.fail(found, expected, line=line, column=column)
 
 
 def _line_of_object(source: Source, index: int) -> int:

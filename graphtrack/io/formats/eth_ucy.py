@@ -124,10 +124,8 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
         if found.is_file():
             given, notes = found, ("homography from H.txt next to the file",)
         elif options.metres_per_pixel is None:
-            raise InputError(
-                "no homography",
-                "H.txt next to the file, or a homography (row, column → metres)",
-                path=source.path,
+            raise source.fail(
+                "no homography", "H.txt next to the file, or a homography (row, column → metres)"
             )
     if given is None:
         return camera_or_scale(options, pixel, np.ones(1))
@@ -170,7 +168,7 @@ class _Lines:
 
     def fail(self, found: str, expected: str, column: str | None = None) -> InputError:
         """Return the error for the current line."""
-        return InputError(found, expected, path=self._source.path, line=self.number, column=column)
+        return self._source.fail(found, expected, line=self.number, column=column)
 
     def count(self, expected: str) -> int:
         """Return the count at the beginning of the current line, and advance."""
@@ -256,7 +254,7 @@ def _read_trajnet(source: Source, options: ReadOptions) -> Rows:
         cells[-1].append(float(values.get(_PREDICTED) is not None))
         lines.append(number)
     if not cells:
-        raise InputError("no track", _TRAJNET_LINE, path=source.path)
+        raise source.fail("no track", _TRAJNET_LINE)
     table = np.array(cells)
     frame = table[:, 0].astype(np.int64)
     rows = Rows(
@@ -272,7 +270,7 @@ def _read_trajnet(source: Source, options: ReadOptions) -> Rows:
         return rows.with_times(options.fps)
     if len(rates) != 1:
         found = "no frame rate in a scene" if not rates else f"scenes of {len(rates)} frame rates"
-        raise InputError(found, "one rate in all scenes, or --fps", path=source.path)
+        raise source.fail(found, "one rate in all scenes, or --fps")
     step, rate = frames_between(rows.frame), rates.pop()
     note = f"frame rate {rate * step:g} Hz: the scenes have {rate:g} Hz and the frames step by {step}"
     return rows.with_notes(note).with_times(rate * step)
@@ -283,7 +281,7 @@ def _trajnet_line(path: Path, number: int, line: str) -> tuple[str, dict[str, An
     try:
         pairs = parse_line(line)
     except InputError as error:
-        raise InputError(error.found, _TRAJNET_LINE, path=path, line=number, column=error.column) from error
+        raise error.at(path, number) from error
     if len(pairs) == 1 and pairs[0][0] in _KINDS and isinstance(pairs[0][1], tuple):
         return pairs[0][0], dict(pairs[0][1])
     raise InputError(repr(line.strip()[:60]), _TRAJNET_LINE, path=path, line=number)

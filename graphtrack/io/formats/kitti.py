@@ -8,19 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import Numbers, parse_number, read_numbers
+from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows
-from graphtrack.tracks.validation import LARGEST_ID
+from graphtrack.tracks.validation import LARGEST_ID, parse_number
 
 FPS = 10.0
 
@@ -43,7 +41,8 @@ def read(source: Source, options: ReadOptions) -> Rows:
     Body heading = ego yaw − rotation_y − π/2. Ego motion and calibration are those of the options, or
     ``../oxts/NAME`` and ``../calib/NAME``. 10 frames a second unless ``fps`` is given.
     """
-    labels, classes = _read_labels(source)
+    labels = read_numbers(source, delimiter=None, widths=(17, 18), names=_LABEL, text=(2,))
+    classes = np.array(labels.text[2], dtype=object)
     frame, identity = labels.integers(0), labels.integers(1, LARGEST_ID)
     location = np.column_stack([labels.metres(13), labels.metres(14), labels.metres(15)])
     rotation = labels.bounded(16, -1e4, 1e4)
@@ -85,21 +84,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
         notes=(*notes, "world axes are east and north, from the first ego pose"),
     )
     return rows.with_times(options.fps or FPS)
-
-
-def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
-    """Return the label file as numbers, with 0 in place of the class, and the classes."""
-    classes: list[str] = []
-    plain: list[str] = []
-    for line in source.lines:
-        cells = line.split()
-        if len(cells) > 2:
-            classes.append(cells[2])
-            cells[2] = "0"
-        plain.append(" ".join(cells))
-    text = Source(source.path, "\n".join(plain).encode())
-    labels = read_numbers(text, delimiter=None, widths=(17, 18), names=_LABEL)
-    return labels, np.array(classes, dtype=object)
 
 
 def _given_or_companion(

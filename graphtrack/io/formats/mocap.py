@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import MOCAP_COLUMNS, Format
 from graphtrack.io.options import ReadOptions
@@ -22,30 +21,19 @@ def read(source: Source, options: ReadOptions) -> Rows:
     Body is the yaw of the shoulders, head that of the head, both in the world; tracks are numbered from 0 in
     the order of the clips and have the clip as their label. Times are those of the file.
     """
-    lines = source.lines
-    header = lines[0].split(",")
+    header = source.lines[0].split(",")
     for name in MOCAP_COLUMNS:
         if name not in header:
-            raise InputError("no such column", f"a column {name}", path=source.path, line=1, column=name)
-    clip_column = header.index("clip")
-    # The clip's name becomes the number of its first appearance, and the rest is a table of numbers.
-    number_of: dict[str, int] = {}
-    numbered = [""]
-    for number, line in enumerate(lines[1:], 2):
-        cells = line.split(",")
-        if line.strip() and len(cells) == len(header):
-            clip = cells[clip_column].strip()
-            if not clip:
-                raise InputError("an empty cell", "a clip", path=source.path, line=number, column="clip")
-            cells[clip_column] = str(number_of.setdefault(clip, len(number_of)))
-            line = ",".join(cells)
-        numbered.append(line)
+            raise source.fail("no such column", f"a column {name}", line=1, column=name)
+    column = header.index("clip")
     table = read_numbers(
-        Source(source.path, "\n".join(numbered).encode()),
-        delimiter=",",
-        widths=(len(header),),
-        names=tuple(header),
+        source, delimiter=",", widths=(len(header),), names=tuple(header), text=(column,), skip=1
     )
+    clips = [clip.strip() for clip in table.text[column]]
+    if "" in clips:
+        line = table.line_of(clips.index(""))
+        raise source.fail("an empty cell", "a clip", line=line, column="clip")
+    number_of = {clip: k for k, clip in enumerate(dict.fromkeys(clips))}
 
     def yaw(name: str) -> np.ndarray:
         return wrap(table.bounded(header.index(name), -_LARGEST_YAW, _LARGEST_YAW))
@@ -56,7 +44,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     return Rows(
         source.path,
         "mocap",
-        table.integers(clip_column),
+        np.array([number_of[clip] for clip in clips], dtype=np.int64),
         table.integers(header.index("frame")),
         {
             "t": table.bounded(header.index("t_s"), -LARGEST_SECONDS, LARGEST_SECONDS),

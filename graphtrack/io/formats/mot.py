@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cameras import PERSON_HEIGHT, placed_boxes, with_scores
+from graphtrack.io.cameras import boxes_on_ground, placed_boxes, with_scores
 from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -186,8 +186,7 @@ def _setting(text: str, name: str) -> str | None:
 def write(tracks: TrackSet, path: Path) -> None:
     """Write rows with positions in metres in columns 8 and 9.
 
-    With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
-    position; 1.7 m upwards are taken to span as many pixels as 1.7 m sideways on the ground.
+    With a camera boxes are those of `boxes_on_ground`.
     Without a camera, or behind it, the box is −1, −1, −1, −1. Ids are those of the tracks; frames too, unless
     they begin at 0 (see the module).
 
@@ -196,6 +195,26 @@ def write(tracks: TrackSet, path: Path) -> None:
     InputWarning
         If the frames begin at 0, and are written with one added.
     """
+    _write_rows(tracks, path, [(track.position, _boxes(track, tracks)) for track in tracks])
+
+
+def write_2d(tracks: TrackSet, path: Path) -> None:
+    """Write boxes alone, with −1 in columns 8 and 9, of rows within the view of the camera; else as `write`.
+
+    Raises
+    ------
+    InputError
+        Without a camera.
+    """
+    if tracks.camera is None:
+        raise InputError("tracks without a camera", "--homography, which makes boxes of them", path=path)
+    boxes = [_boxes(track, tracks) for track in tracks]
+    nowhere = [np.where(box[:, 2:3] > 0.0, [-1.0, -1.0], np.nan) for box in boxes]
+    _write_rows(tracks, path, list(zip(nowhere, boxes, strict=True)))
+
+
+def _write_rows(tracks: TrackSet, path: Path, values: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+    """Write columns 8 and 9 (n, 2) and boxes (n, 4) of each track; rows without the former are left out."""
     negative = next((track.track_id for track in tracks if track.track_id < 0), None)
     if negative is not None:
         raise InputError(f"track id {negative}", "ids from 0 in MOT text")
@@ -204,16 +223,18 @@ def write(tracks: TrackSet, path: Path) -> None:
         raise InputError(f"frame {first}", "frames from 0 in MOT text")
     if first == 0:
         note = "frames begin at 0, and at 1 in MOT text: each is written as one more"
-        warnings.warn(note, InputWarning, stacklevel=2)
-    lines = [line for track in tracks for line in _lines(track, _boxes(track, tracks), first == 0)]
+        warnings.warn(note, InputWarning, stacklevel=3)
+    lines = [
+        line for track, one in zip(tracks, values, strict=True) for line in _lines(track, *one, first == 0)
+    ]
     lines.sort(key=lambda line: line[:2])
     with path.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(text + "\n" for _, _, text in lines)
 
 
-def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, int, str]]:
+def _lines(track: Track, place: FloatArray, boxes: FloatArray, from_zero: bool) -> list[tuple[int, int, str]]:
     result = []
-    for frame, box, position in zip(track.frame.tolist(), boxes, track.position, strict=True):
+    for frame, box, position in zip(track.frame.tolist(), boxes, place, strict=True):
         if np.isfinite(position).all():
             cells = [repr(float(value)) for value in (*np.round(box, 3), 1.0, *position)]
             cells = [str(frame + from_zero), str(track.track_id), *(one.removesuffix(".0") for one in cells)]
@@ -223,21 +244,9 @@ def _lines(track: Track, boxes: FloatArray, from_zero: bool) -> list[tuple[int, 
 
 def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
     """Return boxes (n, 4) left, top, width, height."""
-    boxes = np.full((len(track), 4), -1.0)
     if tracks.camera is None:
-        return boxes
-    camera = tracks.camera
-    foot = camera.ground_to_image(track.position)
-    bearing = camera.ray_bearing(track.position) + np.pi / 2.0
-    aside = 0.5 * PERSON_HEIGHT * np.column_stack([np.cos(bearing), np.sin(bearing)])
-    height = np.linalg.norm(
-        camera.ground_to_image(track.position + aside) - camera.ground_to_image(track.position - aside),
-        axis=1,
-    )
-    width = 0.41 * height
-    drawable = np.isfinite(foot).all(axis=1) & (height > 1e-3) & (np.abs(foot).max(axis=1) + height < 1e6)
-    made = np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
-    return np.where(drawable[:, None], made, boxes)
+        return np.full((len(track), 4), -1.0)
+    return np.nan_to_num(boxes_on_ground(track.position, tracks.camera), nan=-1.0)
 
 
 MOT = Format(
@@ -250,6 +259,14 @@ MOT = Format(
     read_boxes=read_boxes,
 )
 
+MOT_2D = Format(
+    name="mot2d",
+    description="MOTChallenge text of boxes alone, for 2-D evaluation (TrackEval); needs a camera",
+    suffixes=(".2d.txt",),
+    read=read,
+    write=write_2d,
+    is_read=False,
+)
 
 PERSON = 1
 """COCO's category of people."""
@@ -263,7 +280,7 @@ _NUMBER_AT_THE_END = re.compile(r"(\d{1,15})$", re.ASCII)
 def read_coco(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and project the middles of their lower edges to the ground; see `read_boxes`."""
     if options.fps is None:
-        raise InputError("no frame rate", "frames a second (--fps)", path=source.path)
+        raise source.fail("no frame rate", "frames a second (--fps)")
     rows = placed_boxes(read_coco_boxes(source, options), options).with_times(options.fps)
     return with_scores(rows).without("box", "confidence")
 
@@ -311,13 +328,11 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
     try:
         data = orjson.loads(source.text)
     except orjson.JSONDecodeError as error:
-        raise InputError(f"no JSON ({error.msg})", _ENTRY, path=source.path, line=error.lineno) from error
+        raise source.fail(f"no JSON ({error.msg})", _ENTRY, line=error.lineno) from error
     document: Mapping[str, Any] = data if isinstance(data, dict) else {}
     entries = document.get("annotations") if document else data
     if not isinstance(entries, list) or not entries:
-        raise InputError(
-            "no list of boxes", "a list with entries, or annotations in a dataset", path=source.path
-        )
+        raise source.fail("no list of boxes", "a list with entries, or annotations in a dataset")
     for k, one in enumerate(entries):
         if not isinstance(one, dict) or "image_id" not in one:
             raise _fail(source, k, f"entry {k + 1} without image_id", _ENTRY)
@@ -325,7 +340,7 @@ def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
 
 
 def _fail(source: Source, k: int, found: str, expected: str, column: str | None = None) -> InputError:
-    return InputError(found, expected, path=source.path, line=_line_of(source, k), column=column)
+    return source.fail(found, expected, line=_line_of(source, k), column=column)
 
 
 def _line_of(source: Source, k: int) -> int:

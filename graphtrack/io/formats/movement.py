@@ -19,17 +19,16 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
-from graphtrack.io.cells import numbered_names
-from graphtrack.io.foreign_tables import numbered_times
-from graphtrack.io.format import CLASSIC, HDF5, Format, steady_rate
-from graphtrack.io.options import METRES, Layout, Reading, ReadOptions
+from graphtrack.io.format import CLASSIC, HDF5, Format, rate_of, steady_rate
+from graphtrack.io.options import Reading, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.packages import package
+from graphtrack.tracks.cells import METRES, Layout, numbered_names, numbered_times
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import is_input_name, repeated
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale, from_dates
-from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.track import TrackSet, channel_of
 from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
 
 if TYPE_CHECKING:
@@ -169,7 +168,7 @@ def frames_and_times(
     """
     n = dataset.sizes[TIME]
     values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)
-    rate = options.fps if options.fps is not None else _rate(dataset)
+    rate = options.fps if options.fps is not None else rate_of(dataset.attrs.get("fps"))
     description = dataset.attrs.get("time_unit")
     time: TimeScale | None = None
     notes: list[str] = []
@@ -202,15 +201,6 @@ def frames_and_times(
     if options.fps is not None:
         notes.append("the frame rate was not used: the file has times")
     return frame, t, time, notes
-
-
-def _rate(dataset: Any) -> float | None:
-    given = dataset.attrs.get("fps")
-    try:
-        rate = float(given)
-    except (TypeError, ValueError):
-        return None
-    return rate if np.isfinite(rate) and 0.0 < rate <= 1e6 else None
 
 
 def _integers(values: NDArray[Any], path: Path) -> NDArray[np.int64]:
@@ -523,13 +513,12 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
         If the package xarray is not installed.
     """
     xr = package("xarray", EXTRA)
-    moments, indices = _steps(tracks)
-    grid = _Grid(tracks, indices, len(moments))
+    grid = _Grid(tracks)
     names = {} if tracks.as_read is None else tracks.as_read.names
     ids = [track.track_id for track in tracks]
     position = grid.filled("position", (2,))
     if not len(position):
-        position = np.empty((len(moments), 0, 2))
+        position = np.empty((len(grid.moments), 0, 2))
     variables: dict[str, Any] = {
         "position": (
             (TIME, SPACE, KEYPOINTS, INDIVIDUALS),
@@ -559,11 +548,11 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
         attributes["fps"] = rate
     further_dims = {one for dims, *_ in variables.values() for one in dims}
     coordinates: dict[str, Any] = {
-        TIME: np.array([t for t, _ in moments]),
+        TIME: np.array(grid.moments["t"], dtype=float),
         SPACE: ["x", "y"],
         KEYPOINTS: ["centroid"],
         INDIVIDUALS: [names.get(k, str(k)) for k in ids],
-        "frame": (TIME, np.array([frame for _, frame in moments], dtype=np.int64)),
+        "frame": (TIME, np.array(grid.moments["frame"], dtype=np.int64)),
         "track_id": (INDIVIDUALS, np.array(ids, dtype=np.int64)),
     }
     if any(track.label != names.get(track.track_id, "") for track in tracks):
@@ -572,34 +561,24 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
     return xr.Dataset(variables, coordinates, attributes)
 
 
-def _steps(tracks: TrackSet) -> tuple[list[tuple[float, int]], list[NDArray[np.int64]]]:
-    """Return the sorted unique times and frames of all rows, and the indices of each track's rows."""
-    moments = sorted(
-        {pair for one in tracks for pair in zip(one.t.tolist(), one.frame.tolist(), strict=True)}
-    )
-    place = {pair: k for k, pair in enumerate(moments)}
-    return moments, [
-        np.array([place[pair] for pair in zip(one.t.tolist(), one.frame.tolist(), strict=True)])
-        for one in tracks
-    ]
-
-
 class _Grid:
-    """Rows of tracks on a grid of all steps and all people."""
+    """Rows of tracks on a grid of all people and of all pairs of time and frame, in order."""
 
-    def __init__(self, tracks: TrackSet, indices: list[NDArray[np.int64]], steps: int) -> None:
-        self._tracks, self._indices = tracks, indices
-        self.there = np.zeros((steps, len(tracks)), dtype=bool)
-        for k, place in enumerate(indices):
+    def __init__(self, tracks: TrackSet) -> None:
+        pairs = [np.rec.fromarrays([one.t, one.frame], names="t,frame") for one in tracks]
+        self.moments = (
+            np.unique(np.concatenate(pairs)) if pairs else np.rec.fromarrays([[], []], names="t,frame")
+        )
+        self._tracks, self._indices = tracks, [np.searchsorted(self.moments, one) for one in pairs]
+        self.there = np.zeros((len(self.moments), len(tracks)), dtype=bool)
+        for k, place in enumerate(self._indices):
             self.there[place, k] = True
 
     def filled(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return a channel (steps, people, *shape); NaN where there is no row or no value."""
         found = np.full((*self.there.shape, *shape), np.nan)
         for k, (track, place) in enumerate(zip(self._tracks, self._indices, strict=True)):
-            values = (
-                track.inputs.get(name.removeprefix(INPUT)) if name.startswith(INPUT) else getattr(track, name)
-            )
+            values = channel_of(track, name)
             if values is not None:
                 found[place, k] = values
         return found
@@ -628,11 +607,10 @@ def _by_movement(source: Source, software: str) -> Any:
     try:
         movement = import_module("movement.io")
     except ImportError as error:
-        raise InputError(
+        raise source.fail(
             f"a file of {software}, and no package movement",
             "pip install 'graphtrack[poses]', or a file that it made where it is installed: "
             f"movement.io.load_dataset(FILE, source_software='{software}').to_netcdf('tracks.nc')",
-            path=source.path,
         ) from error
     with TemporaryDirectory() as folder:
         file = Path(folder) / ("poses.h5" if source.data.startswith(HDF5) else "poses.csv")
@@ -642,7 +620,7 @@ def _by_movement(source: Source, software: str) -> Any:
         except Exception as error:  # movement and pandas raise many kinds for invalid files
             description = " ".join(str(error).replace(str(file), "it").split()) or type(error).__name__
             found = f"a file of {software} that movement cannot read ({description[:200]})"
-            raise InputError(found, "a whole one", path=source.path) from error
+            raise source.fail(found, "a whole one") from error
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
@@ -674,7 +652,7 @@ def _loaded(xr: Any, source: Source, engine: str) -> Any:
     except Exception as error:  # HDF5 raises many kinds for invalid files
         description = " ".join(str(error).split()) or type(error).__name__
         found = f"a netCDF file that cannot be read ({description[:200]})"
-        raise InputError(found, "a whole one, of movement's dataset.to_netcdf", path=source.path) from error
+        raise source.fail(found, "a whole one, of movement's dataset.to_netcdf") from error
 
 
 def write(tracks: TrackSet, path: Path) -> None:

@@ -1,15 +1,14 @@
-"""The native table as CSV and Parquet; null and NaN both mean a missing observation.
+"""Tables as CSV and Parquet, with the native columns or others; null and NaN both mean a missing observation.
 
-pyarrow reads CSV with strict types. A file that it refuses is read again cell by cell, to locate the error or
-to accept the file (such as one with a quoted label that holds a line break).
+Of a large CSV file pyarrow parses the columns of numbers, and cells that it refuses are parsed one by one, to
+locate the error or to accept them.
 """
 
 from __future__ import annotations
 
-import csv
 import gzip
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io.cameras import place_pixels
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import csv_rows, expected_number, is_blank, other_delimiter, parse_number
-from graphtrack.tracks.schema import NAMES, in_order, is_column, repeated, unknown
-from graphtrack.tracks.table import Rows, arrow_array, from_columns
+from graphtrack.io.text import csv_rows, is_blank, other_delimiter
+from graphtrack.tracks.cells import Cells, Columns, cells_of_arrow, check_unique
+from graphtrack.tracks.schema import NAMES
+from graphtrack.tracks.table import arrow_array
 from graphtrack.tracks.time import date_texts
 
 if TYPE_CHECKING:
@@ -32,71 +32,106 @@ if TYPE_CHECKING:
 
 
 _SMALL = 200_000  # characters that plain Python reads in less time than pyarrow takes to import
+_WIDE = 1000  # columns above which pyarrow takes longer
 
 
-def _read_csv(source: Source, options: ReadOptions) -> Rows:
-    """Read the native table from CSV."""
-    header = _header(source)
-    columns = _read_fast(source, header) if len(source.text) > _SMALL else None
-    line_of: Callable[[int], int] = _LineFinder(source)
-    if columns is None:
-        columns, lines = _read_slowly(source, header)
-        line_of = lines.__getitem__
-    ignored = unknown(header)
-    rows = from_columns(
-        columns, path=source.path, format="csv", fps=options.fps, line_of=line_of, ignored=ignored
-    )
-    return place_pixels(rows, options) if "pixel" in rows.channels else rows
+def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collection[str] = NAMES) -> Cells:
+    """Read a comma-separated table; without a header its columns are called 1, 2, …
 
-
-def _header(source: Source) -> list[str]:
-    first = next((line for line in source.lines if line.strip()), None)
-    if first is None:
-        raise InputError("no rows", "a header and rows", path=source.path)
-    try:
-        header = [name.strip() for name in next(csv.reader([first]))]
-    except csv.Error as error:
-        raise InputError(str(error), "a header", path=source.path, line=1) from error
-    if header[0].startswith("#") and not set(header) & set(NAMES):
-        line = _lines_to_data(source)
-        raise InputError("a comment", "a header, without comments before it", path=source.path, line=line)
-    if len(set(header) & set(NAMES)) < 2 and (other := other_delimiter(source)) is not None:
+    Parameters
+    ----------
+    known : columns of which it has at least two, by which other delimiters are recognised
+    """
+    layout = options.layout()
+    has_header = layout is None or not layout.by_number
+    known = known if layout is None or not layout.columns else {*layout.columns.values()}
+    rows = ((line, row) for line, row in csv_rows(source.path, source.lines) if not is_blank(row))
+    line, first = next(rows, (0, []))
+    if not first:
+        raise source.fail("no rows", "a header and rows")
+    few = len({cell.strip() for cell in first} & set(known)) < min(2, len(known))
+    if (few if has_header else len(first) < 2) and (other := other_delimiter(source, known)) is not None:
         raise other
-    twice = repeated(header)
-    if twice is not None:
-        raise InputError(f"column {twice!r} twice", "each column once", path=source.path, line=1)
-    return header
+    names = _names(source, line, first, known) if has_header else [str(k + 1) for k in range(len(first))]
+    cells = [] if has_header else [first]
+    lines = [] if has_header else [line]
+    parsed = _parsed(source, names, line) if has_header and len(source.text) > _SMALL else None
+    if parsed is not None:
+        line_of = _LineFinder(source, line)
+        return Cells(source.path, "csv", Columns(names, parsed.text), line_of, floats=parsed.numbers)
+    for line, row in rows:
+        if len(row) != len(names):
+            raise source.fail(f"{len(row)} columns", str(len(names)), line=line)
+        cells.append(row)
+        lines.append(line)
+    place = {name: k for k, name in enumerate(names)}
+    columns = Columns(names, lambda name: np.array([row[place[name]] for row in cells], dtype=object))
+    return Cells(source.path, "csv", columns, lines.__getitem__)
 
 
-def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | None:
-    """Return the columns by pyarrow, or None if a cell needs the slow reader."""
+def open_table(path: str | Path, needed: Sequence[str]) -> Cells:
+    """Read a CSV file that has some columns and at least one row."""
+    cells = read_csv(Source.open(path), known=needed)
+    missing = next((name for name in needed if name not in cells.columns), None)
+    if missing is not None:
+        raise InputError(f"no column {missing}", f"the columns {', '.join(needed)}", path=path)
+    if not len(cells.columns[needed[0]]):
+        raise InputError("no rows", "at least one row", path=path)
+    return cells
+
+
+def _names(source: Source, line: int, row: list[str], known: Collection[str]) -> list[str]:
+    # A column of row numbers has no name.
+    names = [name.strip() or f"column {k + 1}" for k, name in enumerate(row)]
+    if names[0].startswith("#") and not set(names) & set(known):
+        raise source.fail("a comment", "a header, without comments before it", line=line)
+    check_unique(names, source.path, line)
+    return names
+
+
+class _Parsed:
+    """The columns of a large CSV file as text, by pyarrow."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+
+    def text(self, name: str) -> NDArray[Any]:
+        """Return a column as text, None where a cell is empty."""
+        return np.array(self._table.column(name).to_pylist(), dtype=object)
+
+    def numbers(self, name: str) -> FloatArray | None:
+        """Return a column as numbers, or None if a cell is none."""
+        import pyarrow as pa
+
+        column = self._table.column(name)
+        try:
+            values = _doubles(column.cast(pa.float64()).combine_chunks())
+        except pa.ArrowInvalid:
+            return None
+        # An empty cell is null in Arrow; any other NaN, or an infinity, was text in the file.
+        known = np.count_nonzero(np.isfinite(values)) == len(values) - column.null_count
+        return values if known else None
+
+
+def _parsed(source: Source, names: list[str], header: int) -> _Parsed | None:
+    """Return the columns by pyarrow, or None if rows need the slow reader."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [name for name in header if is_column(name)]
-    types = {name: pa.string() if name == "label" else pa.float64() for name in names}
+    if len(names) > _WIDE:
+        return None
+    types = dict.fromkeys(names, pa.string())
     try:
         table = arrow_csv.read_csv(
             io.BytesIO(source.text.encode()),
             convert_options=arrow_csv.ConvertOptions(
-                column_types=types, include_columns=names, null_values=[""], strings_can_be_null=True
+                column_types=types, null_values=[""], strings_can_be_null=True
             ),
-            read_options=arrow_csv.ReadOptions(column_names=header, skip_rows=_lines_to_data(source)),
+            read_options=arrow_csv.ReadOptions(column_names=names, skip_rows=header),
         )
     except (pa.ArrowInvalid, pa.ArrowKeyError):
         return None
-    columns: dict[str, NDArray[Any]] = {}
-    for name in names:
-        column = table.column(name)
-        if name == "label":
-            columns[name] = np.array(column.to_pylist(), dtype=object)
-            continue
-        values = _doubles(column.combine_chunks())
-        # An empty cell is null in Arrow; any other NaN, or an infinity, was text in the file.
-        if np.count_nonzero(np.isnan(values)) != column.null_count or np.isinf(values).any():
-            return None
-        columns[name] = values
-    return columns
+    return _Parsed(table)
 
 
 def _doubles(array: Any) -> NDArray[np.float64]:
@@ -112,50 +147,16 @@ def _doubles(array: Any) -> NDArray[np.float64]:
     return values
 
 
-def _lines_to_data(source: Source) -> int:
-    """Return the number of lines up to and including the header."""
-    return next(number for number, line in enumerate(source.lines, 1) if line.strip())
-
-
-def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[Any]], list[int]]:
-    """Return the columns and the line of each row, cell by cell: the reference for what is accepted."""
-    start = _lines_to_data(source)
-    wanted = [(j, name) for j, name in enumerate(header) if is_column(name)]
-    cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
-    lines: list[int] = []
-    for line, row in csv_rows(source.path, source.lines[start:], first=start + 1):
-        if is_blank(row):
-            continue
-        if len(row) != len(header):
-            raise InputError(f"{len(row)} columns", str(len(header)), path=source.path, line=line)
-        for j, name in wanted:
-            cells[name].append(row[j] if name == "label" else _number(row[j], source.path, line, name))
-        lines.append(line)
-    columns: dict[str, NDArray[Any]] = {
-        name: np.array(values, dtype=object if name == "label" else float) for name, values in cells.items()
-    }
-    return columns, lines
-
-
-def _number(text: str, path: Path, line: int, column: str) -> float:
-    if not text.strip():
-        return float("nan")
-    value = parse_number(text)
-    if value is None:
-        expected = f"{expected_number(text)} or an empty cell"
-        raise InputError(repr(text.strip()[:40]), expected, path=path, line=line, column=column)
-    return value
-
-
 class _LineFinder:
     """Row number → line, counted only for a message."""
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    def __init__(self, source: Source, header: int) -> None:
+        self._source, self._header = source, header
 
     def __call__(self, row: int) -> int:
-        filled = (number for number, line in enumerate(self._source.lines, 1) if line.strip())
-        return next(number for i, number in enumerate(filled, -1) if i == row)
+        lines = enumerate(self._source.lines[self._header :], self._header + 1)
+        filled = (number for number, line in lines if line.strip())
+        return next(number for i, number in enumerate(filled) if i == row)
 
 
 def write_csv_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
@@ -187,7 +188,7 @@ CSV = Format(
     name="csv",
     description="native table as CSV (also gzipped)",
     suffixes=(".csv", ".csv.gz"),
-    read=_read_csv,
+    cells=read_csv,
     write_columns=write_csv_columns,
 )
 
@@ -196,48 +197,20 @@ ROW_GROUP = 131_072
 """Rows of a row group in written files, few enough to read one group at a time."""
 
 
-def _read_parquet(source: Source, options: ReadOptions) -> Rows:
-    """Read the native table from Parquet."""
+def read_parquet(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
+    """Read a table from Parquet, column by column."""
     import pyarrow.parquet as pq
 
     with arrow_errors(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
-        names = file.schema_arrow.names
-        known = in_order(names)
-        if len(set(names)) < len(names):
-            raise InputError("a column twice", "each column once", path=source.path)
-        table = file.read(columns=list(known))
-        table.validate(full=True)
-    columns = {name: column_values(table.column(name), name, source.path) for name in known}
-    ignored = unknown(names)
-    rows = from_columns(
-        columns,
-        path=source.path,
-        format="parquet",
-        fps=options.fps,
-        line_of=lambda row: row + 1,
-        ignored=ignored,
-    )
-    return place_pixels(rows, options) if "pixel" in rows.channels else rows
 
+    def column(name: str) -> pa.ChunkedArray:
+        with arrow_errors(source.path):
+            table = file.read(columns=[name])
+            table.validate(full=True)
+            return table.column(name)
 
-def has_moments(source: Source) -> bool:
-    """Return whether the column ``t`` holds dates or durations, by Arrow's types."""
-    import pyarrow.parquet as pq
-
-    with arrow_errors(source.path):
-        schema_arrow = pq.ParquetFile(io.BytesIO(source.data)).schema_arrow
-        if schema_arrow.names.count("t") != 1:
-            return False
-        kind = schema_arrow.field("t").type
-    return _is_moment(kind)
-
-
-def _is_moment(kind: pa.DataType) -> bool:
-    """Return whether values of an Arrow type are dates or durations; a time of the day has no date."""
-    import pyarrow as pa
-
-    return bool(pa.types.is_timestamp(kind) or pa.types.is_date(kind) or pa.types.is_duration(kind))
+    return cells_of_arrow(file.schema_arrow, column, source.path, "parquet")
 
 
 @contextmanager
@@ -250,38 +223,6 @@ def arrow_errors(path: Path) -> Iterator[None]:
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         found = f"a damaged Parquet file ({str(error).splitlines()[0] if str(error) else error!r})"
         raise InputError(found, "a whole Parquet file", path=path) from error
-
-
-def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDArray[Any]:
-    """Return an Arrow column from row ``first_row`` as (n,) doubles, NaN for null; labels as objects."""
-    import pyarrow as pa
-
-    if pa.types.is_dictionary(column.type):
-        column = column.cast(column.type.value_type)
-    if name == "label":
-        if not (
-            pa.types.is_string(column.type)
-            or pa.types.is_large_string(column.type)
-            or pa.types.is_null(column.type)
-        ):
-            raise InputError(f"values of type {column.type}", "text", path=path, column=name)
-        return column.to_numpy(zero_copy_only=False).astype(object)
-    number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    if not (number or pa.types.is_null(column.type)):
-        hint = ""
-        if name == "t" and pa.types.is_string(column.type):
-            hint = "; --time-unit iso reads dates and times as text"
-        elif name == "t" and _is_moment(column.type):
-            hint = " (seconds); --no-stream reads dates and times"
-        raise InputError(f"values of type {column.type}", f"numbers{hint}", path=path, column=name)
-    values = column.to_numpy(zero_copy_only=False).astype(float)
-    infinite = np.isinf(values)
-    if infinite.any():
-        row = int(np.argmax(infinite))
-        raise InputError(
-            f"{values[row]}", "a finite number or null", path=path, line=first_row + row + 1, column=name
-        )
-    return values
 
 
 def _write_parquet_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
@@ -297,6 +238,6 @@ PARQUET = Format(
     name="parquet",
     description="native table as Parquet",
     suffixes=(".parquet", ".pq"),
-    read=_read_parquet,
+    cells=read_parquet,
     write_columns=_write_parquet_columns,
 )

@@ -9,8 +9,7 @@ import gzip
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,10 +19,10 @@ import orjson
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io.cameras import place_pixels
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
+from graphtrack.tracks.cells import Cells, Columns
 from graphtrack.tracks.schema import (
     INTEGERS,
     NO_CLASS,
@@ -33,9 +32,7 @@ from graphtrack.tracks.schema import (
     numeric,
     repeated,
     together,
-    unknown,
 )
-from graphtrack.tracks.table import Rows, from_columns
 from graphtrack.tracks.time import date_texts
 
 _ENCODED = json.JSONEncoder(allow_nan=False).encode
@@ -162,10 +159,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     pairs : keys and values of a line
     optional : those of identity and frame that may be missing
     """
-    given = dict(pairs)
-    if len(given) < len(pairs):
-        twice = repeated(name for name, _ in pairs)
-        raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
+    given = unique(pairs)
     cells: dict[str, Any] = {
         name: _as_integer(name, given.get(name))
         for name in INTEGERS
@@ -185,6 +179,15 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     for group in together(tuple(cells)):
         _check_group(group, cells)
     return cells
+
+
+def unique(pairs: Pairs) -> dict[str, Any]:
+    """Return keys and values of a line; raise InputError for a repeated key."""
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        twice = repeated(name for name, _ in pairs)
+        raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
+    return given
 
 
 def identity(pairs: Pairs) -> dict[str, int | None]:
@@ -248,24 +251,24 @@ def _cut(text: str) -> str:
 class _Row(NamedTuple):
     line: int
     cells: dict[str, Any]
-    status: Any  # status of an estimate of `graphtrack track -`; None in a file of observations
 
     @property
-    def place(self) -> tuple[int, int]:
+    def place(self) -> tuple[Any, Any]:
         """Person and frame; a detection without identity has a unique key."""
-        return self.cells.get("track_id", -self.line), self.cells["frame"]
+        track_id = self.cells.get("track_id")
+        return -self.line if track_id is None else track_id, self.cells.get("frame")
 
 
 NOT_USED = "rows that 'track -' could not use"
 REPLACED = "estimates that a later row of the same frame replaces"
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
-    """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
+def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
+    """Read a table of JSON objects, such as the answers of ``graphtrack track -``.
 
     Lines with the key ``end``, which end a frame of a stream, and lines of groups, attention and forecasts
     are not rows. Of several answers to one frame, as from rows out of sequence, the last is kept; rows with
-    an ``error`` are left out. The summary counts both.
+    an ``error`` and their ``line`` are left out. The summary counts both.
     """
     rows: list[_Row] = []
     keys: dict[str, None] = {}
@@ -274,36 +277,38 @@ def read(source: Source, options: ReadOptions) -> Rows:
         if not text.strip():
             continue
         try:
-            pairs = parse_line(text)
-            given = dict(pairs)
-            if "end" in given or _is_of_a_frame(given):
-                continue
-            if "error" in given:
-                errors += 1
-                continue
-            rows.append(_Row(number, read_cells(pairs, ["track_id"]), given.get("status")))
-            if not given.keys() <= keys.keys():
-                keys |= dict.fromkeys(given)
+            given = unique(parse_line(text))
         except InputError as error:
-            raise InputError(
-                error.found, error.expected, path=source.path, line=number, column=error.column
-            ) from error
+            raise error.at(source.path, number) from error
+        if "end" in given or _is_of_a_frame(given):
+            continue
+        if "error" in given and "line" in given:
+            errors += 1
+            continue
+        rows.append(_Row(number, given))
+        if not given.keys() <= keys.keys():
+            keys |= dict.fromkeys(given)
     kept = _last_answers(rows)
     refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
-    refused = {reason: count for reason, count in refused.items() if count}
     if not kept:
         found = f"no rows but {errors} {NOT_USED}" if errors else "no rows"
-        raise InputError(found, "at least one row", path=source.path)
-    native = from_columns(
-        _columns(kept, keys),
-        path=source.path,
-        format="ndjson",
-        fps=options.fps,
-        line_of=lambda i: kept[i].line,
-        ignored=unknown(keys),
+        raise source.fail(found, "at least one row")
+    return Cells(
+        source.path,
+        "ndjson",
+        Columns(list(keys), lambda name: _column(kept, name)),
+        lambda row: kept[row].line,
+        refused={reason: count for reason, count in refused.items() if count},
     )
-    placed = place_pixels(native, options)
-    return replace(placed, refused={**placed.refused, **refused})
+
+
+def _column(rows: list[_Row], name: str) -> NDArray[Any]:
+    """Return the values of a key; lists and objects become text, which is no number."""
+    empty = -1 if name == "track_id" else None
+    values = [empty if (value := row.cells.get(name)) is None else value for row in rows]
+    found = np.empty(len(rows), dtype=object)
+    found[:] = [repr(value) if isinstance(value, list | tuple) else value for value in values]
+    return found
 
 
 def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
@@ -317,27 +322,16 @@ def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
 def _last_answers(rows: list[_Row]) -> list[_Row]:
     """Drop estimates that a later row of the same person and frame replaces."""
     kept: dict[int, _Row] = {}
-    newest: dict[tuple[int, int], _Row] = {}
+    newest: dict[tuple[Any, Any], _Row] = {}
     for row in rows:
-        before = newest.get(row.place)
-        if before is not None and row.status is not None and before.status is not None:
-            unchanged = row.status == before.status and row.cells == before.cells
-            if row.status != "new" or unchanged:
-                del kept[before.line]
-        newest[row.place] = kept[row.line] = row
+        status = row.cells.get("status")
+        before = None if status is None else newest.get(row.place)
+        if before is not None and (status != "new" or row.cells == before.cells):
+            del kept[before.line]
+        kept[row.line] = row
+        if status is not None:
+            newest[row.place] = row
     return list(kept.values())
-
-
-def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
-    columns: dict[str, NDArray[Any]] = {}
-    for name in keys:
-        if name in INTEGERS:
-            columns[name] = np.array([row.cells.get(name, -1) for row in rows], dtype=np.int64)
-        elif name == "label":
-            columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
-        elif numeric(name) is not None:
-            columns[name] = np.array([row.cells.get(name, np.nan) for row in rows], dtype=float)
-    return columns
 
 
 def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
@@ -362,6 +356,6 @@ NDJSON = Format(
     name="ndjson",
     description="native table as NDJSON: a JSON object a line (also gzipped)",
     suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),
-    read=read,
+    cells=read,
     write_columns=write_columns,
 )

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.format import Format, rate_to_write, times_are_exact
-from graphtrack.io.options import METRES, ReadOptions
+from graphtrack.io.format import Format, rate_of, rate_to_write, times_are_exact
+from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.packages import package
-from graphtrack.tracks.schema import is_column, unknown
-from graphtrack.tracks.table import Rows, frame_of, from_columns, rows_of_table
+from graphtrack.tracks.cells import METRES, Cells, Columns, Layout, frame_of, numbers, rows_of_cells
+from graphtrack.tracks.schema import is_column
+from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID, check_frame_rate
 
@@ -48,8 +49,8 @@ def from_pedpy(trajectory: Any) -> TrackSet:
         raise InputError(f"a {type(trajectory).__name__}", "a pedpy.TrajectoryData: data and frame_rate")
     check_frame_rate(float(rate))
     table = frame_of(data).drop(columns=_POINT, errors="ignore").rename(columns={_IDENTITY: "track_id"})
-    rows = rows_of_table(table, None if "t" in table.columns else float(rate))
-    return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
+    tracks = TrackSet.from_table(table, fps=None if "t" in table.columns else float(rate))
+    return replace(tracks, summary=replace(tracks.summary, format="pedpy"))
 
 
 def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> pedpy.TrajectoryData:
@@ -107,7 +108,7 @@ def _read_text(source: Source, options: ReadOptions) -> Rows:
         found = next((match for line in header if (match := _RATE.search(line)) is not None), None)
         if found is None or float(found[1]) <= 0.0:
             expected = "frames a second (--fps), or a line such as # framerate: 25"
-            raise InputError("no frame rate", expected, path=source.path)
+            raise source.fail("no frame rate", expected)
         rate = float(found[1])
         notes.append(f"frame rate {found[1]} Hz from the file's header")
     unit = _unit(header, options, source.path)
@@ -162,42 +163,32 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     """Read positions, the agents' orientation as body, and further native columns."""
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
-        raise InputError(
-            "a database whose changes may lie next to it", "one that its writer has closed", path=source.path
-        )
+        raise source.fail("a database whose changes may lie next to it", "one that its writer has closed")
     try:
         with closing(sqlite3.connect(":memory:")) as connection:
             connection.deserialize(data)
             tables = {name for (name,) in connection.execute("select name from sqlite_master")}
             _check_tables(tables, source.path)
             answer = connection.execute("select * from trajectory_data")
-            names = [one[0] for one in answer.description]
-            cells = answer.fetchall()
+            place = {one[0]: k for k, one in enumerate(answer.description)}
+            rows = answer.fetchall()
             rate = options.fps if options.fps is not None else _rate(connection, tables)
     except sqlite3.Error as error:
-        raise InputError(
-            f"a database that cannot be read ({error})", "a whole one", path=source.path
-        ) from error
-    missing = next((name for name in _OWN if name not in names), None)
+        raise source.fail(f"a database that cannot be read ({error})", "a whole one") from error
+    missing = next((name for name in _OWN if name not in place), None)
     if missing is not None:
-        raise InputError(f"a table trajectory_data without {missing}", "JuPedSim's", path=source.path)
-    table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
-             if name in _OWN or name in _FACING or is_column(name)}  # fmt: skip
-    columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
-    if rate is None and "t" not in columns:
-        raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
+        raise source.fail(f"a table trajectory_data without {missing}", "JuPedSim's")
+    if rate is None and "t" not in place:
+        raise source.fail("no fps in the table metadata", "frames a second (--fps)")
+    read = Columns(list(place), lambda name: np.array([row[place[name]] for row in rows], dtype=object))
+    cells = Cells(source.path, "jupedsim", read, lambda row: row + 1)
+    columns = {name: read[name] for name in place if name not in _FACING}
     # In files written by this module those columns hold what is known of the body.
-    if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
-        columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
-    ignored = unknown([name for name in names if name not in (*_OWN, *_FACING)])
-    return from_columns(
-        columns,
-        path=source.path,
-        format="jupedsim",
-        fps=None if "t" in columns else rate,
-        line_of=lambda row: row + 1,
-        ignored=ignored,
-    )
+    if all(name in place for name in _FACING) and not any(is_column(name) for name in {*columns} - {*_OWN}):
+        columns["body_deg"] = _degrees(*(numbers(cells, name) for name in _FACING))
+    layout = Layout({native: name for name, native in _OWN.items()})
+    fps = None if "t" in place else rate
+    return replace(rows_of_cells(replace(cells, columns=columns), layout, fps=fps, strict=True), as_read=None)
 
 
 def _check_tables(tables: set[str], path: Path) -> None:
@@ -213,24 +204,7 @@ def _rate(connection: sqlite3.Connection, tables: set[str]) -> float | None:
     if "metadata" not in tables:
         return None
     declared = connection.execute("select value from metadata where key = 'fps'").fetchone()
-    try:
-        rate = float(declared[0])
-    except (TypeError, ValueError):
-        return None
-    return rate if 0.0 < rate <= 1e6 else None
-
-
-def _numbers(cells: list[Any], name: str, path: Path) -> NDArray[Any]:
-    if name == "label":
-        return np.array([cell if isinstance(cell, str) else None for cell in cells], dtype=object)
-    found = np.full(len(cells), np.nan)
-    for row, cell in enumerate(cells):
-        if cell is None:
-            continue
-        if not isinstance(cell, int | float) or not np.isfinite(cell):
-            raise InputError(f"{str(cell)[:40]!r}", "a finite number", path=path, line=row + 1, column=name)
-        found[row] = cell
-    return found
+    return rate_of(None if declared is None else declared[0])
 
 
 def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:

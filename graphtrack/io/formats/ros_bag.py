@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -25,6 +26,7 @@ from graphtrack.packages import package, transform
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION
 
 if TYPE_CHECKING:
+    from rosbags.rosbag2 import Reader
     from rosbags.typesys.store import Typestore
 
 
@@ -336,14 +338,6 @@ _SQLITE_MAGIC = b"SQLite format 3\0"
 Read = TypeVar("Read")
 
 
-class Definition(NamedTuple):
-    """A type of messages, and its definition where the recording has it."""
-
-    kind: str
-    text: str = ""
-    language: str = ""
-
-
 class Recorded(NamedTuple):
     """A raw message: topic, time of recording (ns), bytes, and its number in the topic."""
 
@@ -381,31 +375,34 @@ class Bag:
 
     path: Path
     topics: Mapping[str, str]
-    _parts: tuple[_Part, ...]
-    _definitions: Mapping[str, Definition]
+    _readers: tuple[Reader, ...]
 
     def store(self, kinds: Collection[str]) -> Typestore:
         """Return the typestore of these types, with the recording's definitions where it has them."""
+        from rosbags.interfaces import MessageDefinitionFormat
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
         embedded: dict[str, Any] = {}
         with reading_errors(self.path, "a definition of messages"):
-            for one in self._definitions.values():
-                if one.kind in kinds and one.text:
-                    if one.language == "ros2msg":
-                        embedded |= get_types_from_msg(one.text, one.kind)
-                    elif one.language == "ros2idl":
-                        embedded |= get_types_from_idl(one.text)
+            for one in chain.from_iterable(reader.connections for reader in self._readers):
+                kind, definition = _kind_of(one), one.msgdef
+                if kind not in kinds or not definition.data:
+                    continue
+                if definition.format == MessageDefinitionFormat.MSG:
+                    embedded = get_types_from_msg(definition.data, kind) | embedded
+                elif definition.format == MessageDefinitionFormat.IDL:
+                    embedded = get_types_from_idl(definition.data) | embedded
             return typestore(embedded)
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         """Yield the messages of some topics, in the order of the recording."""
         numbers = dict.fromkeys(topics, 0)
         with reading_errors(self.path, "a recording"):
-            for part in self._parts:
-                for topic, logged, raw in part.messages(topics):
-                    numbers[topic] += 1
-                    yield Recorded(topic, logged, raw, numbers[topic])
+            for reader in self._readers:
+                wanted = [one for one in reader.connections if one.topic in topics]
+                for connection, logged, raw in reader.messages(wanted) if wanted else ():
+                    numbers[connection.topic] += 1
+                    yield Recorded(connection.topic, logged, raw, numbers[connection.topic])
 
     def decoded(
         self, kind: str, topics: Collection[str], use: Callable[[Any], Read]
@@ -430,16 +427,33 @@ class Bag:
 def open_bag(path: Path) -> Iterator[Bag]:
     """Open a recording."""
     need_rosbags()
+    from rosbags.rosbag2 import Reader
+
+    readers: list[Reader] = []
     with ExitStack() as stack:
         with reading_errors(path, "a recording"):
-            files = _mcap_files(path) if path.is_dir() else []
-            parts = [_Part(one, stack) for one in files or [path]]
-        definitions: dict[str, Definition] = {}
-        for part in parts:
-            for topic, one in part.topics.items():
-                definitions.setdefault(topic, one)
-        kinds = {topic: one.kind for topic, one in definitions.items()}
-        yield Bag(path, kinds, tuple(parts), definitions)
+            for one in (_mcap_files(path) if path.is_dir() else []) or [path]:
+                readers.append(Reader(one))
+                readers[-1].open()
+                stack.callback(_close, readers[-1])
+        kinds: dict[str, str] = {}
+        for connection in chain.from_iterable(reader.connections for reader in readers):
+            kinds.setdefault(connection.topic, _kind_of(connection))
+        yield Bag(path, kinds, tuple(readers))
+
+
+def _close(reader: Reader) -> None:
+    with contextlib.suppress(Exception):  # nothing is lost in a recording that is only read
+        reader.close()
+
+
+def _kind_of(connection: Any) -> str:
+    """Return the full name of a type, such as geometry_msgs/msg/Pose; of another encoding its name."""
+    encoding = connection.ext.serialization_format
+    if encoding != "cdr":
+        return f"{encoding or 'unknown'} messages"
+    package, _, last = connection.msgtype.partition("/")
+    return connection.msgtype if "/" in last or not last else f"{package}/msg/{last}"
 
 
 @contextmanager
@@ -448,9 +462,7 @@ def reading_errors(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, path=path, line=error.line) from error
+        raise error.at(error.path or path) from error
     except PermissionError as error:
         raise InputError("a file without permission to read", "a readable file", path=path) from error
     except Exception as error:  # from rosbags, mcap, zstd, lz4, SQLite, YAML or parsers
@@ -467,42 +479,3 @@ def _mcap_files(folder: Path) -> list[Path]:
         return (int(last) if last.isdecimal() else -1), path.name
 
     return sorted((one for one in folder.glob("*.mcap") if one.is_file()), key=number)
-
-
-class _Part:
-    """Open one file of a recording, or a folder with its metadata, by rosbags."""
-
-    def __init__(self, path: Path, stack: ExitStack) -> None:
-        from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
-        from rosbags.rosbag2 import Reader
-
-        self._reader = Reader(path)
-        self._reader.open()
-        stack.callback(self._close)
-        languages = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
-        self.topics: dict[str, Definition] = {}
-        for one in self._reader.connections:
-            assert isinstance(one.ext, ConnectionExtRosbag2)
-            encoding, definition = one.ext.serialization_format, one.msgdef
-            self.topics[one.topic] = (
-                Definition(_full(one.msgtype), definition.data, languages.get(definition.format, ""))
-                if encoding == "cdr"
-                else Definition(f"{encoding or 'unknown'} messages")
-            )
-
-    def _close(self) -> None:
-        with contextlib.suppress(Exception):  # nothing is lost in a recording that is only read
-            self._reader.close()
-
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        connections = [one for one in self._reader.connections if one.topic in topics]
-        if not connections:
-            return
-        for connection, logged, raw in self._reader.messages(connections):
-            yield connection.topic, logged, raw
-
-
-def _full(name: str) -> str:
-    """Return the full name of a type, such as geometry_msgs/msg/Pose for geometry_msgs/Pose."""
-    package, _, last = name.partition("/")
-    return name if "/" in last or not last else f"{package}/msg/{last}"

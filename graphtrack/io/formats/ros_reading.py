@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cells import Cells
-from graphtrack.io.foreign_tables import rows_of_cells
 from graphtrack.io.format import Format
 from graphtrack.io.formats.ros_bag import (
     DETECTIONS,
@@ -39,8 +37,9 @@ from graphtrack.io.formats.ros_bag import (
     yaw_of,
 )
 from graphtrack.io.formats.ros_writing import write_mcap
-from graphtrack.io.options import Layout, ReadOptions
+from graphtrack.io.options import ReadOptions
 from graphtrack.packages import transform
+from graphtrack.tracks.cells import Cells, Layout, rows_of_cells
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
 
@@ -178,15 +177,15 @@ class Transforms:
 def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
     """Interpolate a link's poses at some times."""
     n = len(stamps)
-    reading_errors, poses = _in_order(link)
-    if not len(reading_errors):
+    seen, poses = _in_order(link)
+    if not len(seen):
         return Placement(np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool))
-    if link.static or len(reading_errors) == 1:
-        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - reading_errors[0]) <= _REACH
+    if link.static or len(seen) == 1:
+        known = np.ones(n, dtype=bool) if link.static else np.abs(stamps - seen[0]) <= _REACH
         return Placement(np.tile(poses[-1, :4], (n, 1)), np.tile(poses[-1, 4:], (n, 1)), known)
-    within = np.clip(stamps, reading_errors[0], reading_errors[-1])
+    within = np.clip(stamps, seen[0], seen[-1])
     # Relative to the first, since a double lacks the digits of an epoch's nanoseconds.
-    since, at = (reading_errors - reading_errors[0]) / 1e9, (within - reading_errors[0]) / 1e9
+    since, at = (seen - seen[0]) / 1e9, (within - seen[0]) / 1e9
     turn = transform.Slerp(since, transform.Rotation.from_quat(poses[:, :4]))(at).as_quat()
     place = np.column_stack([np.interp(at, since, poses[:, k]) for k in (4, 5, 6)])
     return Placement(turn, place, np.abs(stamps - within) <= _REACH)
@@ -227,14 +226,14 @@ class Humans:
         kind: Part = next((part for plural, part in _PARTS.items() if f"/{plural}/" in topic), "person")
         matched: dict[tuple[str, str], str] = {}
         if kind == "person":
-            reading_errors = {
+            matches = {
                 name: m
                 for name, type_ in bag.topics.items()
                 if type_ == TEXT and (m := _MATCH.fullmatch(name))
             }
-            for one, text in bag.decoded(TEXT, reading_errors, lambda message: str(message.data)):
+            for one, text in bag.decoded(TEXT, matches, lambda message: str(message.data)):
                 if text:
-                    matched[reading_errors[one.topic][1], reading_errors[one.topic][2]] = text
+                    matched[matches[one.topic][1], matches[one.topic][2]] = text
         return cls(kind, matched)
 
     def placed(
@@ -484,11 +483,7 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
             ground = _ground(bag, kind, topics, options.fixed_frame)
             columns = _columns(bag, kind, topics, ground, options.classes)
         except InputError as error:
-            if error.path is not None:
-                raise
-            raise InputError(
-                error.found, error.expected, path=path, line=error.line, column=error.column
-            ) from error
+            raise error.at(error.path or path) from error
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
@@ -539,8 +534,8 @@ def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground
     transforms = Transforms()
     if fixed is not None or humans is not None:
         of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
-        for one, reading_errors in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
-            transforms.add(reading_errors, static=one.topic.endswith(_STATIC))
+        for one, given in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
+            transforms.add(given, static=one.topic.endswith(_STATIC))
     has_transforms = TRANSFORMS in bag.topics.values()
     return Ground(fixed, transforms, humans, has_transforms)
 
@@ -593,14 +588,12 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
     void = {name for name, values in joined.items() if values.dtype.kind == "f" and np.isnan(values).all()}
     classified = {name: values for name, values in joined.items() if name not in void}
     layout = replace(_LAYOUT, columns={k: v for k, v in _LAYOUT.columns.items() if v in classified})
-    cells = Cells(path, "bag", classified, lambda row: int(number[row]), {})
+    cells = Cells(path, "bag", classified, lambda row: int(number[row]))
     rows = rows_of_cells(cells, layout, reference=reference)
-    reading_errors = rows.as_read
-    assert reading_errors is not None and reading_errors.time is not None
+    read = rows.as_read
+    assert read is not None and read.time is not None
     # As a table: seconds of the same clock, unchanged when read back.
-    as_read = AsRead(
-        {}, TimeScale("number", origin=reading_errors.time.origin), names=reading_errors.names, frame=frame
-    )
+    as_read = AsRead({}, TimeScale("number", origin=read.time.origin), names=read.names, frame=frame)
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
 

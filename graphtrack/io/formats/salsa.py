@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -25,23 +26,31 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
     The frame is the number of the row, from 0; angles are wrapped. ``rows_read`` counts persons in steps.
     """
-    ids, text = _without_ids(source)
+    line, first = next(((k, row.split()) for k, row in enumerate(source.lines, 1) if row.strip()), (1, []))
+    if first and (len(first) % 5 != 1 or len(first) == 1):
+        raise source.fail(f"{len(first)} columns", "1 + 5 for each person", line=line)
+    starts = range(1, len(first), 5)
+    ids = _ids([first[start] for start in starts], source.path)
     people = len(ids)
     names = ("t", *(f"{name} of {label}" for label in ids.values() for name in _PERSON))
-    table = read_numbers(text, delimiter=None, widths=(1 + 5 * people,), names=names)
+    table = read_numbers(source, delimiter=None, widths=(len(first),), names=names, text=starts)
+    for start, label in zip(starts, ids.values(), strict=True):
+        row = next((row for row, own in enumerate(table.text[start]) if own != label), None)
+        if row is not None:
+            found, at = repr(table.text[start][row][:40]), table.line_of(row)
+            raise source.fail(found, f"{label} as above", line=at, column=start + 1)
     steps = len(table.values)
     t = table.bounded(0, -LARGEST_SECONDS, LARGEST_SECONDS)
     backwards = np.flatnonzero(np.diff(t) <= 0.0)
     if len(backwards):
         raise table.fail(int(backwards[0]) + 1, 0, "a time after that of the row before")
-    first = range(1, 1 + 5 * people, 5)
 
     def angle(offset: int) -> np.ndarray:
-        cells = [table.bounded(start + offset, -_LARGEST_ANGLE, _LARGEST_ANGLE) for start in first]
+        cells = [table.bounded(start + offset, -_LARGEST_ANGLE, _LARGEST_ANGLE) for start in starts]
         return wrap(np.column_stack(cells).ravel())
 
-    x = np.column_stack([table.metres(start + 1) for start in first]).ravel()
-    y = np.column_stack([table.metres(start + 2) for start in first]).ravel()
+    x = np.column_stack([table.metres(start + 1) for start in starts]).ravel()
+    y = np.column_stack([table.metres(start + 2) for start in starts]).ravel()
     notes = () if options.fps is None else ("the frame rate was not used: the file has times",)
     return Rows(
         source.path,
@@ -55,39 +64,16 @@ def read(source: Source, options: ReadOptions) -> Rows:
     )
 
 
-def _without_ids(source: Source) -> tuple[dict[int, str], Source]:
-    """Return number → label, and the text with 0 in place of the labels, which every row repeats."""
-    labels: list[str] = []
-    plain: list[str] = []
-    for number, line in enumerate(source.lines, 1):
-        cells = line.split()
-        if not cells:
-            plain.append("")
-            continue
-        own = cells[1::5]
-        if not labels:
-            if len(cells) % 5 != 1 or not own:
-                raise InputError(
-                    f"{len(cells)} columns", "1 + 5 for each person", path=source.path, line=number
-                )
-            labels = own
-        if len(cells) == 1 + 5 * len(labels) and own != labels:
-            k = next(i for i, (a, b) in enumerate(zip(own, labels, strict=True)) if a != b)
-            raise InputError(
-                repr(own[k][:40]), f"{labels[k]} as above", path=source.path, line=number, column=2 + 5 * k
-            )
-        cells[1::5] = ["0"] * len(own)
-        plain.append(" ".join(cells))
-    if not labels:
-        raise InputError("no rows", "at least one row", path=source.path)
+def _ids(labels: list[str], path: Path) -> dict[int, str]:
+    """Return number → label of the people."""
     ids: dict[int, str] = {}
     for k, label in enumerate(labels):
         match = _ID.fullmatch(label)
         if match is None or int(match[1]) in ids:
             found = repr(label[:40]) + (" again" if match else "")
-            raise InputError(found, "ID_ and a unique number", path=source.path, column=2 + 5 * k)
+            raise InputError(found, "ID_ and a unique number", path=path, column=2 + 5 * k)
         ids[int(match[1])] = label
-    return ids, Source(source.path, "\n".join(plain).encode())
+    return ids
 
 
 SALSA = Format(

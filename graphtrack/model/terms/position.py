@@ -13,7 +13,6 @@ from graphtrack.geometry.camera import GroundCamera, apply_homography
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import choose
 from graphtrack.kernels.layout import Field, Kernel, X, Y
-from graphtrack.model.factors import derived_factors
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import LikelihoodParameters
@@ -188,7 +187,7 @@ class PositionLikelihood(Term):
         """A native prior in metres; in pixels, one from the kernel."""
         likelihood, observed = self.parameters.likelihood, step.observation
         if likelihood.image_frame and observed.pixel is not None and step.camera is not None:
-            return derived_factors(self, step)
+            return self.derived_factors(step)
         if observed.position is None:
             return []
         (std,) = likelihood.position_stds(observed.position_std, 1).tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -26,22 +27,15 @@ STD = 0.01
 """Metres from a wall at which the barrier begins, and the 1-σ of its penalty within them."""
 
 
-def with_walls(track: Track, position: FloatArray, area: WalkableArea) -> Track:
-    """Return a track with the input `WALL_INPUT` of walls near positions (n, 2), one a frame."""
-    return replace(track, inputs={**track.inputs, WALL_INPUT: area.walls(position)})
-
-
-def without_walls(track: Track) -> Track:
-    """Return a track without the input `WALL_INPUT`."""
-    return replace(track, inputs={name: one for name, one in track.inputs.items() if name != WALL_INPUT})
-
-
-def with_walls_at(observation: Observation, area: WalkableArea) -> Observation:
-    """Return an observation with the input `WALL_INPUT` of walls near its position, if it has one."""
-    if observation.position is None:
-        return observation
-    walls = area.walls(np.array(observation.position, dtype=float)[None])[0]
-    return replace(observation, inputs={**observation.inputs, WALL_INPUT: tuple(walls.tolist())})
+def with_walls_at(
+    observed: Sequence[Observation], position: FloatArray, area: WalkableArea
+) -> list[Observation]:
+    """Return observations with the input `WALL_INPUT` of walls near positions (n, 2), NaN: nowhere."""
+    walls = map(tuple, area.walls(position).tolist())
+    return [
+        replace(one, inputs={**one.inputs, WALL_INPUT: near})
+        for one, near in zip(observed, walls, strict=True)
+    ]
 
 
 @compiled

@@ -48,7 +48,7 @@ def test_idf1_of_feet_through_the_calibration(name, idf1, recording, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_all_figures_as_trackeval_has_them(name, recording):
-    pytest.importorskip("trackeval", reason="pip install trackeval==1.3.0 to compare with it")
+    pytest.importorskip("trackeval", reason="pip install --no-deps trackeval==1.3.0 to compare with it")
     files = recording / "published" / f"{name}.txt", recording / "gt.txt"
     estimates, truth = (gt.read(path, fps=2.5) for path in files)
     check(gt.score(estimates, truth), [estimated_detections(estimates), true_detections(truth)], metres=1.0)

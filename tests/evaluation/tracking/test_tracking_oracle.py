@@ -48,7 +48,7 @@ def test_as_stored_from_trackeval(kind):
 @given(seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=3))
 def test_as_trackeval_says(demand, boxes, seeds):
     pytest.importorskip(
-        "trackeval", reason="pip install trackeval==1.3.0 to compare with it beyond what is stored"
+        "trackeval", reason="pip install --no-deps trackeval==1.3.0 to compare with it beyond what is stored"
     )
     pairs = [random_scene(seed, boxes=boxes) for seed in seeds]
     sequences, together = figures_of(pairs, demand)
@@ -62,7 +62,7 @@ def test_as_trackeval_says(demand, boxes, seeds):
 def test_as_trackeval_says_of_ties(data):
     """Positions on a coarse grid, so that many distances are equal and many exactly the threshold."""
     pytest.importorskip(
-        "trackeval", reason="pip install trackeval==1.3.0 to compare with it beyond what is stored"
+        "trackeval", reason="pip install --no-deps trackeval==1.3.0 to compare with it beyond what is stored"
     )
     cell = st.tuples(st.integers(0, 3), st.integers(0, 5), st.integers(0, 3), st.integers(0, 3))
     both = []

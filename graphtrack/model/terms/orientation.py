@@ -1,7 +1,8 @@
-"""The orientation likelihoods of body and head, from angles or from class likelihoods.
+"""Orientations of body and head: rotational diffusion, likelihoods of angles or of classes, and anchors.
 
-As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
-ε = 0 it is a von Mises, with a native factor.
+As a density, an observation is L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture
+of one class; with ε = 0 it is a von Mises, with a native factor. Anchors hold orientations that nothing
+determines: a track's first, and those that the model does not have.
 """
 
 from __future__ import annotations
@@ -20,16 +21,111 @@ from graphtrack.geometry.angles import (
     mixture_log_density,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import exp, log, log_i0e, of_alike
+from graphtrack.kernels.arithmetic import exp, log, log_i0e
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose
-from graphtrack.kernels.layout import Field, Kernel
-from graphtrack.model.factors import derived_factors, von_mises_prior
+from graphtrack.kernels.layout import Field, Kernel, names_of
+from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.observation import Observation, States, Step
-from graphtrack.model.packing import PackedTracks
+from graphtrack.model.packing import PackedTracks, of_alike
+from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special
 from graphtrack.tracks.track import Track
+
+
+@compiled
+def add_turn(
+    cos_before: float,
+    sin_before: float,
+    cos: float,
+    sin: float,
+    place: int,
+    turn_kappa: float,
+    exact: bool,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """κ·(1 − cos Δ) between an angle and its previous value."""
+    close = cos_before * cos + sin_before * sin
+    pull = turn_kappa * (sin * cos_before - cos * sin_before)
+    curvature = turn_kappa * close if exact else turn_kappa
+    gradient[place] += pull
+    gradient_before[place] -= pull
+    hessian[place, place] += curvature
+    hessian_before[place, place] += curvature
+    transition[place, place] -= curvature
+    return turn_kappa * (1.0 - close)
+
+
+def _turning(name: Variable) -> Kernel:
+    gate = f"{name}_turn_kappa"
+    names = names_of(name, turn_kappa=gate)
+    return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names)
+
+
+_READ = ("diffusion", "white_share", "turn_rate", "turn_time")
+
+
+class _OrientationDynamics(Term):
+    """Rotational diffusion of one orientation."""
+
+    name: ClassVar[Variable]
+
+    @property
+    def _diffusion(self) -> float:
+        return float(getattr(self.parameters.orientation, f"{self.name}_diffusion"))
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """One native factor from the previous step."""
+        if step.previous is None or step.dt is None:
+            return []
+        key = f"{self.name}_key"
+        kappa = 1.0 / (self._diffusion * step.dt)
+        return [von_mises_between(getattr(step.previous, key), getattr(step, key), kappa)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ κ(Δt)·(1 − cos Δ)."""
+        turn = np.diff(getattr(states, self.name))
+        return float(np.sum((1.0 - np.cos(turn)) / (self._diffusion * np.diff(track.t))))
+
+    def turns_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which is uniform."""
+        kappa = 1.0 / (self._diffusion * np.diff(track.t))
+        return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ between frames."""
+        variance = self._diffusion * packed.dt
+        kappa = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
+        packed.records[f"{self.name}_turn_kappa"] = kappa
+
+
+class BodyDynamics(_OrientationDynamics):
+    """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 8, first factor)."""
+
+    name = "body"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
+    repeats = True
+    reads = tuple(f"orientation.body_{name}" for name in _READ)
+    fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    kernels = (_turning("body"),)
+    log_normaliser = _OrientationDynamics.turns_normaliser
+
+
+class HeadDynamics(_OrientationDynamics):
+    """V(α_t; α_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 10, first factor)."""
+
+    name = "head"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
+    repeats = True
+    reads = tuple(f"orientation.head_{name}" for name in _READ)
+    fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    kernels = (_turning("head"),)
+    log_normaliser = _OrientationDynamics.turns_normaliser
 
 
 @compiled
@@ -75,10 +171,12 @@ def add_classes(
     scale = 1.0 / density
     slope = kappa * turn * scale
     gradient[place] += slope
-    if exact:
-        hessian[place, place] += kappa * scale * (along - kappa * square) + slope * slope
-    else:
-        hessian[place, place] += kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
+    curvature = kappa * scale * (along - kappa * square) + slope * slope
+    if not exact:
+        # The resultant bounds the curvature; with half of it or more a step never raises the cost.
+        half = 0.5 * kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
+        curvature = choose(curvature > half, curvature, half)
+    hessian[place, place] += curvature
     return 2.0 * kappa - math.log(density)
 
 
@@ -109,24 +207,13 @@ def add_class_quarter_turns(
 
 
 @compiled
-def peaked_cost(close: float, kappa: float) -> float:
-    """Return the cost of an observed angle without outliers, at a deviation whose cosine is ``close``."""
-    return kappa * (1.0 - close)
-
-
-@compiled
-def softened_cost(close: float, kappa: float, uniform: float) -> float:
-    """Return the cost of an observed angle with outliers, at a deviation whose cosine is ``close``."""
-    # As in the factor: never negative, since the resultant is at most κ.
-    return 2.0 * kappa - log((exp(-kappa * (1.0 - close)) + uniform) / (1.0 + uniform))
-
-
-@compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """Return the cost of `add_angle` at a deviation whose cosine is ``close``."""
+    far = kappa * (1.0 - close)
     if not any_of(uniform > 0.0):
-        return peaked_cost(close, kappa)
-    return choose(uniform > 0.0, softened_cost(close, kappa, uniform), peaked_cost(close, kappa))
+        return far
+    # As in the factor: never negative, since the resultant is at most κ.
+    return choose(uniform > 0.0, 2.0 * kappa - log((exp(-far) + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -180,7 +267,7 @@ def add_angle_quarter_turns(
 
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     """The kernels of an observed angle and of class likelihoods."""
-    names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
+    names = names_of(name)
     angle = {"mean_cos": f"observed_{name}_cos", "mean_sin": f"observed_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
     classes = {"kappa": f"{name}_class_kappa", "doubt": f"{name}_doubt"}
@@ -232,7 +319,7 @@ class _PoseLikelihood(Term):
         angle, kappa = getattr(observed, self.name), getattr(observed, f"{self.name}_kappa")
         by_class = getattr(observed, f"{self.name}_likelihood") is not None
         if by_class or self.parameters.likelihood.outlier_probability > 0.0:
-            return derived_factors(self, step)
+            return self.derived_factors(step)
         (kappa,) = self._kappas(kappa, 1).tolist()
         if angle is None or kappa == 0.0:
             return []
@@ -349,3 +436,54 @@ class HeadLikelihood(_PoseLikelihood):
     fields = _fields("head")
     kernels = _observed("head")
     log_normaliser = _PoseLikelihood.observed_normaliser
+
+
+ANCHOR_KAPPA = 1e-6
+"""Concentration at which a first orientation is held to its initial value: negligible as information, but an
+orientation without observations has a solution."""
+
+
+@compiled
+def add_anchor(
+    cos: float,
+    sin: float,
+    place: int,
+    start: FloatArray,
+    anchor: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """κ·(1 − cos Δ) between an orientation and its initial value."""
+    mean_cos, mean_sin = math.cos(start[place]), math.sin(start[place])
+    return add_angle(cos, sin, place, mean_cos, mean_sin, anchor, 0.0, exact, gradient, hessian)
+
+
+def _held(name: Variable) -> Kernel:
+    gate = f"{name}_anchor"
+    return Kernel(add_anchor, gate=gate, variables=(name,), names=names_of(name, anchor=gate))
+
+
+class Anchor(Term):
+    """The engine's own term, in no model's list; an orientation that is not estimated stays constant."""
+
+    repeats = True
+    fields = (
+        Field("body_anchor", "concentration that holds a first orientation to its initial value"),
+        Field("head_anchor", ""),
+    )
+    kernels = (_held("body"), _held("head"))
+
+    def __init__(self, parameters: Parameters, has_body: bool, has_head: bool) -> None:
+        super().__init__(parameters)
+        self._has = (has_body, has_head)
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """0: the anchor depends on the initial values, and is negligible."""
+        return 0.0
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Anchor the first orientations, and in all frames those that the model does not have."""
+        first = np.where(packed.is_first, ANCHOR_KAPPA, 0.0)
+        for field, has in zip(self.fields, self._has, strict=True):
+            packed.records[field.name] = first if has else 1.0

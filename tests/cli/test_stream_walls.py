@@ -1,0 +1,137 @@
+"""Walkable areas of streams: `graphtrack track - --walkable`, its saved state, and the service."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from command import Done, run
+from serving import serving
+
+from graphtrack.geometry.walkable import WalkableArea
+from graphtrack.service.client import StreamClient
+
+CORRIDOR = shapely.union_all([shapely.box(0, 0, 20, 2), shapely.box(18, 0, 20, 12)])
+NOISE = 0.3
+Rows = list[dict[str, Any]]
+
+
+def corridor_rows(people: int, seed: int, identities: bool = True, near: bool = False) -> Rows:
+    """Rows of people who walk round the corner of a corridor 4 s after each other, perhaps near a wall."""
+    rng, rows = np.random.default_rng(seed), []
+    for k in range(people):
+        aside = 0.15 if near else rng.uniform(0.12, 1.88)
+        corners = np.array([[0.3, aside], [20.0 - aside, aside], [20.0 - aside, 11.7]])
+        along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
+        at = np.arange(0.0, along[-1], 0.26)
+        path = np.column_stack([np.interp(at, along, corners[:, axis]) for axis in range(2)])
+        for step, (x, y) in enumerate(np.round(rng.normal(path, NOISE), 3).tolist()):
+            frame = 20 * k + step
+            row = {"frame": frame, "t": round(0.2 * frame, 3), "x": x, "y": y, "pos_std": NOISE}
+            rows.append(({"track_id": k} if identities else {}) | row)
+    return sorted(rows, key=lambda row: row["frame"])
+
+
+def share_outside(answers: Rows, least: int = 400) -> float:
+    position = np.array([[one["x"], one["y"]] for one in answers if one.get("x") is not None])
+    assert len(position) > least
+    return 1.0 - float(WalkableArea(CORRIDOR).contains(position).mean())
+
+
+@pytest.fixture
+def area(tmp_path: Path) -> Path:
+    path = tmp_path / "corridor.wkt"
+    path.write_text(CORRIDOR.wkt)
+    return path
+
+
+@pytest.fixture
+def track(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Done, Rows]]:
+    def stream(rows: Rows, *options: object) -> tuple[Done, Rows]:
+        lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+        given = ("--model", "position", "--engine", "fixed-lag", *options)
+        done = run("track", "-", *given, program="graphtrack")
+        return done, [json.loads(line) for line in done.stdout.splitlines()]
+
+    return stream
+
+
+def test_estimates_of_a_stream_stay_inside(track: Any, area: Path) -> None:
+    rows = corridor_rows(10, 4)
+    _, plain = track(rows)
+    done, walled = track(rows, "--walkable", area)
+    assert done.returncode == 0 and len(walled) == len(plain) == len(rows) > 1000
+    assert share_outside(plain) > 0.01 and share_outside(walled) <= 0.001
+
+
+def test_tracked_detections_of_a_stream_stay_inside(track: Any, area: Path) -> None:
+    rows = corridor_rows(2, 5, identities=False, near=True)
+    _, plain = track(rows, "--lag", "1")
+    _, walled = track(rows, "--lag", "1", "--walkable", area, "--forecast", "2")
+    assert share_outside(plain, 200) > 0.01 and share_outside(walled, 200) == 0.0
+    ahead = np.array([[at["x"], at["y"]] for one in walled if "forecast" in one for at in one["forecast"]])
+    assert len(ahead) > 1000 and WalkableArea(CORRIDOR.buffer(1e-6)).contains(ahead).all()
+
+
+@pytest.mark.parametrize("identities", [True, False])
+def test_a_resumed_stream_keeps_its_walls_and_refuses_others(
+    track: Any, area: Path, tmp_path: Path, identities: bool
+) -> None:
+    rows, state = corridor_rows(2, 6, identities)[:140], tmp_path / "state"
+    options = ("--walkable", area, "--forecast", "1")
+    _, whole = track(rows, *options)
+    _, first = track(rows[:90], *options, "--state", state)
+    assert CORRIDOR.wkt not in state.read_text(errors="replace")  # the area is given again, in any form
+    (tmp_path / "same.geojson").write_text(shapely.to_geojson(CORRIDOR.reverse()))
+    same = ("--walkable", tmp_path / "same.geojson", "--forecast", "1")
+    _, second = track(rows[90:], *same, "--state", state)
+    joined = first + second
+    if identities:  # the end of a run reports the forecasts of its last frame
+        joined, whole = ([one for one in found if "status" in one] for found in (joined, whole))
+    assert second and joined[-40:] == whole[-40:]
+    for other in ((), ("--walkable", tmp_path / "other.wkt")):
+        (tmp_path / "other.wkt").write_text(CORRIDOR.buffer(0.1).wkt)
+        done, answers = track(rows[90:], *other, "--forecast", "1", "--state", state)
+        assert done.returncode == 2 and not answers
+        assert 'a state with walkable = "' in done.stderr
+
+
+def test_the_service_keeps_people_inside_the_area_of_its_scene(area: Path) -> None:
+    options = ("--engine", "fixed-lag", "--walkable", str(area))
+    with serving(*options) as service:
+        with StreamClient(f"ws://127.0.0.1:{service.port}/v1/streams/hall") as hall:
+            answers = list(hall.follow(corridor_rows(4, 7)))
+        assert service.stop() == 0
+    assert share_outside(answers) <= 0.001
+
+
+@pytest.mark.slow
+def test_the_compiled_engine_keeps_streams_inside(track: Any, area: Path) -> None:
+    for model in ("position", "full"):
+        _, walled = track(corridor_rows(10, 8), "--engine", "chain", "--model", model, "--walkable", area)
+        assert share_outside(walled) <= 0.001
+
+
+def test_an_area_travels_to_other_processes() -> None:
+    area = pickle.loads(pickle.dumps(WalkableArea(CORRIDOR)))
+    position = np.random.default_rng(0).uniform(-1.0, 13.0, (50, 2))
+    np.testing.assert_array_equal(area.walls(position), WalkableArea(CORRIDOR).walls(position))
+    assert area.digest() == WalkableArea(CORRIDOR.reverse()).digest()
+    assert area.digest() != WalkableArea(CORRIDOR.buffer(0.01)).digest()
+
+
+@pytest.mark.parametrize("command", [["track", "-"], ["serve", "--port", "0"]])
+def test_an_area_that_is_none_is_refused_before_any_row(command: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "line.wkt"
+    path.write_text("LINESTRING (0 0, 1 1)")
+    done = run(*command, "--walkable", path, program="graphtrack")
+    assert done.returncode == 2 and "no polygon" in done.stderr

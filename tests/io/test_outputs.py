@@ -1,0 +1,167 @@
+"""Tracks as detections of supervision, which its annotators draw, and as frames of polars."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.tracks.schema import BOX_COLUMNS
+
+CAMERA = GroundCamera.from_calibration(
+    # 4 m above the ground, looking along +y and 20° down.
+    np.array([[1.0, 0.0, 0.0], [0.0, -np.sin(0.35), -np.cos(0.35)], [0.0, np.cos(0.35), -np.sin(0.35)]]),
+    np.array([0.0, 4.0 * np.cos(0.35), 4.0 * np.sin(0.35)]),
+    np.array([[400.0, 0.0, 320.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]]),
+)
+SIZE = (480, 640)
+FRAMES = 12
+
+
+@pytest.fixture
+def sv() -> Any:
+    return pytest.importorskip("supervision", reason="the extra supervision has it")
+
+
+def people() -> gt.TrackSet:
+    """Two people who walk past each other; the second comes in frame 2, and is not observed in frame 5."""
+    tracks = []
+    for track_id, first, y, speed in ((7, 0, 9.0, 0.25), (3, 2, 12.0, -0.25)):
+        frame = np.arange(first, FRAMES)
+        position = np.column_stack([speed * (frame - 6), np.full(len(frame), y)])
+        position[(frame == 5) & (track_id == 3)] = np.nan
+        score = np.full(len(frame), 0.75)
+        label = "Anna" if track_id == 7 else "Ben"
+        tracks.append(gt.Track(track_id, frame, frame / 10.0, position, score=score, label=label))
+    return gt.TrackSet(tuple(tracks), CAMERA)
+
+
+def test_a_frame_has_its_people_with_boxes_on_their_positions(sv: Any) -> None:
+    scene = people()
+    found = gt.to_supervision(scene, 4)
+    assert isinstance(found, sv.Detections)
+    assert found.tracker_id.tolist() == [7, 3] and found.class_id.tolist() == [0, 0]
+    assert found.confidence.tolist() == [0.75, 0.75]
+    assert found.data["class_name"].tolist() == ["person"] * 2
+    assert found.data["label"].tolist() == ["Anna", "Ben"]
+    feet = np.column_stack([found.xyxy[:, [0, 2]].mean(axis=1), found.xyxy[:, 3]])
+    np.testing.assert_allclose(CAMERA.image_to_ground(feet), [[-0.5, 9.0], [0.5, 12.0]], atol=1e-9)
+    np.testing.assert_array_equal(found.data["x"], [-0.5, 0.5])
+    # The farther person is smaller; both are about as tall as a pole of 1.7 m at their feet.
+    height = found.xyxy[:, 3] - found.xyxy[:, 1]
+    depth = np.array([[9.0], [12.0]]) * np.cos(0.35) + 4.0 * np.sin(0.35)
+    np.testing.assert_allclose(height, 400.0 * 1.7 / depth[:, 0], rtol=0.02)
+    assert gt.to_supervision(scene, 5).tracker_id.tolist() == [7]
+    assert len(gt.to_supervision(scene, 99)) == 0
+    everybody = gt.to_supervision(scene)
+    assert list(everybody) == list(range(FRAMES))
+    assert [len(one) for one in everybody.values()] == [1, 1, 2, 2, 2, 1, *[2] * 6]
+    homography = gt.to_supervision(scene.tracks[0], 4, camera=CAMERA.homography)
+    np.testing.assert_allclose(homography.xyxy[0, 3], found.xyxy[0, 3])
+
+
+def test_annotators_draw_boxes_and_traces(sv: Any) -> None:
+    image = np.zeros((*SIZE, 3), np.uint8)
+    colours = sv.ColorPalette([sv.Color(255, 0, 0), sv.Color(0, 255, 0)])
+    lookup = sv.ColorLookup.TRACK
+    boxes = sv.BoxAnnotator(colours, thickness=1, color_lookup=lookup)
+    traces = sv.TraceAnnotator(colours, sv.Position.BOTTOM_CENTER, thickness=1, color_lookup=lookup)
+    labels = sv.LabelAnnotator(colours, color_lookup=lookup)
+    found = gt.to_supervision(people())
+    for detections in found.values():
+        drawn = boxes.annotate(image.copy(), detections)
+        drawn = traces.annotate(drawn, detections)
+    last = found[FRAMES - 1]
+    for row, (left, top, right, bottom) in enumerate(last.xyxy.round().astype(int)):
+        for u, v in ((left, (top + bottom) // 2), (right, (top + bottom) // 2), ((left + right) // 2, top)):
+            assert drawn[v - 1 : v + 2, u - 1 : u + 2].any(), f"no box at {u}, {v}"
+        assert not drawn[top + 5, left + 3].any()  # only an outline
+        track = people().by_id(int(last.tracker_id[row]))
+        known = track.position[np.isfinite(track.position[:, 0])]
+        for u, v in CAMERA.ground_to_image(known).round().astype(int):
+            assert drawn[v - 2 : v + 3, u - 2 : u + 3].any(), f"no trace at {u}, {v}"
+    with_labels = labels.annotate(image.copy(), last, labels=list(last.data["label"]))
+    assert with_labels.any()
+
+
+def test_what_supervision_gave_goes_back_to_it_and_is_read_again(sv: Any) -> None:
+    scene = people()
+    again = gt.from_supervision(gt.to_supervision(scene), fps=10.0, camera=CAMERA)
+    assert [track.track_id for track in again] == [3, 7]
+    for track in again:
+        before = scene.by_id(track.track_id)
+        known = np.isfinite(before.position[:, 0])
+        np.testing.assert_array_equal(track.frame, before.frame[known])
+        np.testing.assert_allclose(track.position, before.position[known], atol=1e-9)
+        np.testing.assert_allclose(track.t, before.t[known])
+    smoothed = gt.smooth(again, "position")
+    assert gt.to_supervision(smoothed, 5).tracker_id.tolist() == [7]
+
+
+def test_boxes_that_are_known_are_taken(sv: Any, tmp_path: Path) -> None:
+    scene = people()
+    table = scene.to_table()
+    known = table["frame"] < 6
+    for k, name in enumerate(BOX_COLUMNS[:4]):
+        table[name] = np.where(known, 10.0 * (k + 1) + table["track_id"], np.nan)
+    table.to_csv(tmp_path / "boxes.csv", index=False)
+    expected = [[17.0, 27.0, 54.0, 74.0], [13.0, 23.0, 46.0, 66.0]]
+    for boxes in (table, tmp_path / "boxes.csv", {name: table[name] for name in table}):
+        found = gt.to_supervision(scene, boxes=boxes)
+        np.testing.assert_array_equal(found[4].xyxy, expected)
+        np.testing.assert_array_equal(found[8].xyxy, gt.to_supervision(scene, 8).xyxy)  # by the camera
+    # A table's own boxes need no camera; people without either are left out.
+    found = gt.to_supervision(table)  # in the order of ids
+    np.testing.assert_array_equal(found[4].xyxy, expected[::-1])
+    assert list(found) == [0, 1, 2, 3, 4, 5]
+    gt.write(scene, tmp_path / "boxes.txt", format="mot")
+    np.testing.assert_allclose(
+        gt.to_supervision(gt.TrackSet(scene.tracks), 4, boxes=tmp_path / "boxes.txt").xyxy,
+        gt.to_supervision(scene, 4).xyxy,
+        atol=2e-3,
+    )
+
+
+def test_what_is_missing_is_named(sv: Any) -> None:
+    with pytest.raises(InputError, match="without a camera, expected camera=, or boxes="):
+        gt.to_supervision(gt.TrackSet(people().tracks), 4)
+    with pytest.raises(InputError, match="left"):
+        gt.to_supervision(people(), boxes=people().to_table())
+
+
+@pytest.mark.parametrize("library", ["supervision", "polars"])
+def test_a_missing_library_is_named_with_its_extra(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=rf"no package {library}.*graphtrack\[{library}\]"):
+        getattr(gt, f"to_{library}")(people())
+
+
+def test_a_frame_of_polars_is_the_table_and_is_read_again() -> None:
+    polars = pytest.importorskip("polars", reason="the extra polars has it")
+    scene = people()
+    frame = gt.to_polars(scene)
+    assert isinstance(frame, polars.DataFrame)
+    assert frame.columns == list(scene.to_table().columns)
+    assert frame["track_id"].dtype == polars.Int64 and frame["label"].dtype == polars.String
+    assert frame["x"].null_count() == 1 and not frame["x"].is_nan().any()
+    again = gt.read(frame)
+    for one, other in zip(sorted(scene, key=lambda track: track.track_id), again, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_array_equal(one.t, other.t)
+        assert one.label == other.label
+
+
+def test_a_frame_of_polars_has_the_names_that_were_read() -> None:
+    polars = pytest.importorskip("polars", reason="the extra polars has it")
+    given = polars.DataFrame(
+        {"who": ["a", "b", "a"], "ms": [0, 0, 40], "px": [0.0, 99.0, 4.0], "py": [0.0, 9.0, 0.0]}
+    )
+    tracks = gt.read(given, columns="id=who,t=ms,x=px,y=py", time_unit="ms", units="cm")
+    frame = gt.to_polars(tracks, as_read=True)
+    assert frame.sort("ms", "who").select(given.columns).rows() == given.sort("ms", "who").rows()
