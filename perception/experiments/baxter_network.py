@@ -5,7 +5,7 @@ Baxter et al. 2014, Fig. 3 and 5(b): the network's confusion by split, and predi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -18,10 +18,10 @@ from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters
 from graphtrack.experiments.baxter_caviar import detected, own_outcome
 from graphtrack.experiments.harness import (
     CAVIAR,
-    Cell,
     Experiment,
     Parts,
     Progress,
+    Row,
     Settings,
     Table,
     quietly,
@@ -203,9 +203,8 @@ def splits(
     return found
 
 
-def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settings) -> Table:
-    """Compute MSE and CLL gains over Baxter et al.'s Kalman filter, with labelled and the network's heads."""
-    records: list[dict[str, Cell]] = []
+def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settings) -> Iterator[Row]:
+    """Yield MSE and CLL gains over Baxter et al.'s Kalman filter, with labelled and the network's heads."""
     recordings = {"labelled": [person.track for person in people]}
     recordings["network"] = [network_heads(model, person) for person in people]
     for rate in RATES:
@@ -223,19 +222,16 @@ def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settin
                 middle = np.median(ratios, axis=(0, 1))
                 spread = np.std(ratios.mean(axis=0), axis=0)
                 of_paper = PAPER_GAIN if heads == "network" and rate == 1.0 else None
-                records.append(
-                    {
-                        "detection %": round(100 * rate),
-                        "heads": heads,
-                        "method": method,
-                        "paper: CLL gain": of_paper,
-                        "ours: CLL gain": float(middle[1]),
-                        "± people (CLL)": float(spread[1]),
-                        "ours: MSE gain": float(middle[0]),
-                        "± people (MSE)": float(spread[0]),
-                    }
-                )
-    return Table.of("Paper / ours: CAVIAR with labelled heads and with the network's (Fig. 5b)", records)
+                yield {
+                    "detection %": round(100 * rate),
+                    "heads": heads,
+                    "method": method,
+                    "paper: CLL gain": of_paper,
+                    "ours: CLL gain": float(middle[1]),
+                    "± people (CLL)": float(spread[1]),
+                    "ours: MSE gain": float(middle[0]),
+                    "± people (MSE)": float(spread[0]),
+                }
 
 
 def _parts(settings: Settings) -> Parts:
@@ -251,7 +247,9 @@ def _parts(settings: Settings) -> Parts:
         "are means over the classes that occur. Reflections are included in training."
     )
     found = splits(model, people, settings, settings.progress)
-    yield _split_table(found)
+    yield Table.of(
+        "The network's last layer learned on a part, judged on the rest (Fig. 3)", _split_rows(found)
+    )
     if street is None:
         yield "Town Centre's images were not found (--data): no prediction on them."
     else:
@@ -276,8 +274,14 @@ def _parts(settings: Settings) -> Parts:
             "at the labelled points. Undetected people have no head. baxter-caviar reports what such gains "
             "are made of."
         )
-        yield _people_table(people, model)
-        yield gains(people, model, settings)
+        yield Table.of(
+            "The package's network on CAVIAR's heads, cut out at the labelled points",
+            _people_rows(people, model),
+        )
+        yield Table.of(
+            "Paper / ours: CAVIAR with labelled heads and with the network's (Fig. 5b)",
+            gains(people, model, settings),
+        )
     else:
         yield "CAVIAR's frames were not found (--data): no Fig. 5(b)."
     settings.progress(1)
@@ -297,40 +301,32 @@ def _people(settings: Settings) -> list[PersonWithHeads]:
     return [] if path is None else people_with_heads(path.parents[1])
 
 
-def _split_table(found: Sequence[Split]) -> Table:
-    records: list[dict[str, Cell]] = []
+def _split_rows(found: Sequence[Split]) -> Iterator[Row]:
     for one in found:
         hits, false_alarms = class_rates(one.scores.confusion)
-        records.append(
-            {
-                "heads": one.data,
-                "split": one.split,
-                "number": one.heads,
-                "paper": "in the picture of Fig. 3 alone",
-                "right (%)": 100.0 * float(one.scores.rates.mean()),
-                "± splits": 100.0 * float(one.scores.rates.std()),
-                "mean error (°)": one.scores.mean_error,
-                "TPR": float(np.nanmean(hits)),
-                "FPR": float(np.nanmean(false_alarms)),
-            }
-        )
-    return Table.of("The network's last layer learned on a part, judged on the rest (Fig. 3)", records)
+        yield {
+            "heads": one.data,
+            "split": one.split,
+            "number": one.heads,
+            "paper": "in the picture of Fig. 3 alone",
+            "right (%)": 100.0 * float(one.scores.rates.mean()),
+            "± splits": 100.0 * float(one.scores.rates.std()),
+            "mean error (°)": one.scores.mean_error,
+            "TPR": float(np.nanmean(hits)),
+            "FPR": float(np.nanmean(false_alarms)),
+        }
 
 
-def _people_table(people: Sequence[PersonWithHeads], model: DeepBelief) -> Table:
-    records: list[dict[str, Cell]] = []
+def _people_rows(people: Sequence[PersonWithHeads], model: DeepBelief) -> Iterator[Row]:
     for person in people:
         pan = model.classes.most_likely_pan(model.log_likelihoods(person.images))
         error = np.degrees(np.abs(difference(pan, person.pan)))
-        records.append(
-            {
-                "person": person.name,
-                "frames": len(person.track),
-                "head (pixels)": float(np.median(person.size)),
-                "network, mean error (°)": float(error.mean()),
-            }
-        )
-    return Table.of("The package's network on CAVIAR's heads, cut out at the labelled points", records)
+        yield {
+            "person": person.name,
+            "frames": len(person.track),
+            "head (pixels)": float(np.median(person.size)),
+            "network, mean error (°)": float(error.mean()),
+        }
 
 
 def _figure(found: Sequence[Split], people: Sequence[PersonWithHeads]) -> Figure:

@@ -26,6 +26,7 @@ from graphtrack.experiments.harness import (
     Cell,
     Experiment,
     Parts,
+    Row,
     Settings,
     Table,
     evenly,
@@ -349,7 +350,9 @@ def _parts(settings: Settings) -> Parts:
     posed, answers = known_poses(everyone, body, head, settings.rng(22), settings.progress)
     rng = settings.rng(99)
     yield detail("Body and head from class likelihoods", found, GROUPS, rng)
-    yield _effect(found, rng)
+    yield Table.of(
+        "Paired differences with 95 % intervals over people; below 0 the first is better", _effect(found, rng)
+    )
     yield detail(
         "Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
         posed,
@@ -387,9 +390,8 @@ def _parts(settings: Settings) -> Parts:
     )
 
 
-def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    """Return paired differences: joint minus separate, and offline minus causal heads."""
-    records: list[dict[str, Cell]] = []
+def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
+    """Yield paired differences: joint minus separate, and offline minus causal heads."""
     for one in found:
         pairs = [(name, "joint − joint-body", ("joint", name), ("joint-body", name)) for name in METHODS]
         details = "smoother, heads of the whole track"
@@ -409,10 +411,7 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
                 )
                 span = f" ({interval.low:+.1f} … {interval.high:+.1f})" if np.isfinite(interval.low) else ""
                 row[f"{angle} (°)"] = f"{interval.value:+.1f}{span}"
-            records.append(row)
-    return Table.of(
-        "Paired differences with 95 % intervals over people; below 0 the first is better", records
-    )
+            yield row
 
 
 def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> Figure:

@@ -6,7 +6,7 @@ Only the labels of the available frames are read, those of the recording's first
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from graphtrack.experiments.baxter_occlusion import (
     intentional,
     kalman,
 )
-from graphtrack.experiments.harness import Cell, Table, fit, interval_cells, model_of
+from graphtrack.experiments.harness import Row, Table, fit, interval_cells, model_of
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration
@@ -259,7 +259,16 @@ def occlusion_tables(
                         mean = float(np.mean(error_of(predictor, shown)))
                         squares.setdefault((heads, visibility, name), []).append(mean)
     sizes = np.concatenate([person.size for person in people])
-    return [_heads_table(errors, len(people), float(np.median(sizes))), _window_table(squares, rng)]
+    return [
+        Table.of(
+            "Heads of Town Centre against the direction of travel of those who walk",
+            _heads_rows(errors, len(people), float(np.median(sizes))),
+        ),
+        Table.of(
+            "Town Centre: error in windows of two seconds without a position, against constant velocity",
+            _window_rows(squares, rng),
+        ),
+    ]
 
 
 def concentration(error: FloatArray) -> float:
@@ -268,41 +277,33 @@ def concentration(error: FloatArray) -> float:
     return length * (2.0 - length**2) / max(1.0 - length**2, 1e-6)
 
 
-def _heads_table(errors: Mapping[str, Sequence[FloatArray]], people: int, size: float) -> Table:
-    records: list[dict[str, Cell]] = []
+def _heads_rows(errors: Mapping[str, Sequence[FloatArray]], people: int, size: float) -> Iterator[Row]:
     for heads, found in errors.items():
         off = np.degrees(np.abs(np.concatenate(found)))
         off = off[np.isfinite(off)]
-        records.append(
-            {
-                "heads": heads,
-                "people": people,
-                "number": len(off),
-                "head (pixels)": size,
-                "mean error (°)": float(off.mean()),
-                "median (°)": float(np.median(off)),
-                "within 22.5° (%)": 100.0 * float((off < 22.5).mean()),
-            }
-        )
-    return Table.of("Heads of Town Centre against the direction of travel of those who walk", records)
+        yield {
+            "heads": heads,
+            "people": people,
+            "number": len(off),
+            "head (pixels)": size,
+            "mean error (°)": float(off.mean()),
+            "median (°)": float(np.median(off)),
+            "within 22.5° (%)": 100.0 * float((off < 22.5).mean()),
+        }
 
 
-def _window_table(squares: Mapping[tuple[str, str, str], Sequence[float]], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
+def _window_rows(
+    squares: Mapping[tuple[str, str, str], Sequence[float]], rng: np.random.Generator
+) -> Iterator[Row]:
     for (heads, visibility, name), found in squares.items():
         own = np.array(found)
         base = np.array(squares[heads, visibility, CONSTANT])
-        records.append(
-            {
-                "heads": heads,
-                "in the window": visibility,
-                "method": name,
-                "people": len(own),
-                "RMSE (m)": float(np.sqrt(own.mean())),
-                **interval_cells("reduction %", bootstrap(reduction, own, base, rng=rng), scale=100.0),
-                "people improved (%)": 100.0 * float((own < base).mean()),
-            }
-        )
-    return Table.of(
-        "Town Centre: error in windows of two seconds without a position, against constant velocity", records
-    )
+        yield {
+            "heads": heads,
+            "in the window": visibility,
+            "method": name,
+            "people": len(own),
+            "RMSE (m)": float(np.sqrt(own.mean())),
+            **interval_cells("reduction %", bootstrap(reduction, own, base, rng=rng), scale=100.0),
+            "people improved (%)": 100.0 * float((own < base).mean()),
+        }
