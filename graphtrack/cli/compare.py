@@ -83,7 +83,10 @@ def compare_groups(
     chosen = None if parameters is None else load_parameters(parameters)
     with input_warnings_as_notes():
         found = compare(
-            reading.tracks(inputs), read_groups(labels), list(methods) or list(registry), parameters=chosen
+            reading.tracks(list(inputs)),
+            read_groups(labels),
+            list(methods) or list(registry),
+            parameters=chosen,
         )
     frames = next(iter(found.scores.values())).frames
     rows = [

@@ -69,7 +69,7 @@ def average_linkage(people: People) -> IntArray:
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 
-    toward = np.where(people.head.any(axis=1)[:, None], people.head, people.body)
+    toward = np.where(np.any(people.head, axis=1, keepdims=True), people.head, people.body)
     toward = toward / np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
     space = people.position + LINKAGE_STRIDE * toward
     label = np.ones(len(people), dtype=np.int64)

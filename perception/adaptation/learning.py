@@ -224,8 +224,9 @@ def _attempt(
         part: fit_directions(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold)
         for part, view in _VIEWS.items()
     }
-    models, outputs = ({part: both[k] for part, both in found.items()} for k in range(2))
-    return _Attempt(models, outputs)
+    return _Attempt(
+        {part: model for part, (model, _) in found.items()}, {part: out for part, (_, out) in found.items()}
+    )
 
 
 def _of_package(
@@ -251,7 +252,7 @@ def _of_package(
 
 
 def _figures(found: _Attempt, labels: WalkingLabels, of: str) -> dict[str, float]:
-    both = HeldOut(sum(out.log_likelihood for out in found.outputs.values()))
+    both = HeldOut(np.sum([out.log_likelihood for out in found.outputs.values()], axis=0))
     figures = {}
     for name, out in (*found.outputs.items(), ("both", both)):
         error = out.errors(labels.angle)

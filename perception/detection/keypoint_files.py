@@ -63,10 +63,11 @@ def _by_frame(path: Path, people: Iterable[_Person]) -> dict[int, Detections]:
         for _, points, boxes, scores in [zip(*group, strict=True)]
     }
     # Annotations have visibilities 0, 1 (hidden) and 2 (visible) instead of confidences.
-    every = np.concatenate([people.points[..., 2].ravel() for people in found.values()])
+    confidences = [one.points[..., 2] for one in found.values() if one.points is not None]
+    every = np.concatenate([one.ravel() for one in confidences])
     document = 2.0 if np.isin(every, (0.0, 1.0, 2.0)).all() and (every == 2.0).any() else 1.0
-    for people in found.values():
-        people.points[..., 2] = np.clip(people.points[..., 2] / document, 0.0, 1.0)
+    for one in confidences:
+        one[:] = np.clip(one / document, 0.0, 1.0)
     return found
 
 

@@ -268,6 +268,6 @@ def _write_crops(
             for name, values in labels.items():
                 columns.setdefault(name, []).extend(values.tolist())
             advance(len(images))
-        images = np.array(columns.pop("image"), object)
-        write_table({"image": images} | {k: np.array(v) for k, v in columns.items()}, made / LABELS)
+        names = np.array(columns.pop("image"), object)
+        write_table({"image": names} | {k: np.array(v) for k, v in columns.items()}, made / LABELS)
     return []

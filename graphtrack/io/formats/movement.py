@@ -565,10 +565,11 @@ class _Grid:
     """Rows of tracks on a grid of all people and of all pairs of time and frame, in order."""
 
     def __init__(self, tracks: TrackSet) -> None:
-        pairs = [np.rec.fromarrays([one.t, one.frame], names="t,frame") for one in tracks]
-        self.moments = (
-            np.unique(np.concatenate(pairs)) if pairs else np.rec.fromarrays([[], []], names="t,frame")
-        )
+        kind = np.dtype([("t", float), ("frame", np.int64)])
+        pairs = [np.empty(len(one), kind) for one in tracks]
+        for pair, one in zip(pairs, tracks, strict=True):
+            pair["t"], pair["frame"] = one.t, one.frame
+        self.moments = np.unique(np.concatenate(pairs)) if pairs else np.empty(0, kind)
         self._tracks, self._indices = tracks, [np.searchsorted(self.moments, one) for one in pairs]
         self.there = np.zeros((len(self.moments), len(tracks)), dtype=bool)
         for k, place in enumerate(self._indices):
