@@ -16,7 +16,8 @@ from graphtrack.evaluation.groups import FunctionMethod, average_linkage, compar
 from graphtrack.geometry.angles import direction, unit
 from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
-from graphtrack.io.groups import read_groups, write_columns
+from graphtrack.io.groups import read_groups
+from graphtrack.io.read_write import write_table
 from graphtrack.simulation.scenario import Party, party
 
 
@@ -27,7 +28,7 @@ def scene() -> Party:
 
 @pytest.fixture
 def labelled(scene: Party, tmp_path: Path) -> Path:
-    write_columns(scene.group_columns(), tmp_path / "labelled.csv")
+    write_table(scene.group_columns(), tmp_path / "labelled.csv")
     return tmp_path / "labelled.csv"
 
 
