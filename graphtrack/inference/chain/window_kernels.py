@@ -378,10 +378,10 @@ def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Works
     track, first = len(problem.offsets) - 2, len(states) - 2
     clear(sums, transition)
     clear(sums_after, transition)
-    for k, own in ((first, every), (first + 1, not every)):
-        # The second frame's own terms stay in the window.
-        here = sums if own else sums_after
-        add_frame(problem, track, k, start, states, exact, not own, own, turns, sums, here, transition)
+    add_frame(problem, track, first, start, states, exact, not every, every, turns, sums, sums, transition)
+    # The second frame's own terms stay in the window.
+    after, links, own = first + 1, every, not every
+    add_frame(problem, track, after, start, states, exact, links, own, turns, sums, sums_after, transition)
     add_prior(problem.prior, start, sums)
     for place in (BODY, HEAD):
         # An orientation outside the model, or without a link to the next frame.
