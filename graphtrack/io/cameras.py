@@ -60,7 +60,8 @@ def _handedness(camera: GroundCamera) -> tuple[str, ...]:
     if not camera.is_mirrored:
         return ()
     return (
-        "the ground of the homography is left-handed as seen from above: so are all positions and angles",
+        "the ground of the homography is left-handed as seen from above: so are all positions and angles; "
+        "negate its second row, or Y of the point pairs",
     )
 
 
