@@ -66,6 +66,8 @@ def packed(values: NDArray[Any]) -> list[Any]:
 def unpacked(saved: list[Any]) -> NDArray[Any]:
     """Invert `packed`."""
     shape, kind, text = saved
+    if kind not in ("f", "i", "b", "c"):
+        raise TypeError(f"{str(kind)[:40]!r} in place of a kind of numbers")
     numbers: NDArray[Any] = from_text(text)
     if kind == "c":
         return numbers.view(complex).reshape(shape)

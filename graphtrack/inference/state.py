@@ -396,7 +396,18 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
     integer(saved["frame"])
+    for value in saved.values():
+        _check_numbers(value)
     return checked(Observation(**saved))
+
+
+def _check_numbers(value: Any) -> None:
+    """Raise TypeError if there is anything but numbers, names and None in a saved channel."""
+    if isinstance(value, list | tuple | dict):
+        for one in value.values() if isinstance(value, dict) else value:
+            _check_numbers(one)
+    elif isinstance(value, bool):
+        raise TypeError(f"{value} in place of a number")
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:

@@ -204,7 +204,7 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
-        found = f"a table that is not of tracks for {path.name}"
+        found = f"a table without tracks, such as detections without identities, for {path.name}"
         raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
 

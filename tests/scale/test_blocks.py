@@ -120,6 +120,7 @@ def test_times_from_a_frame_rate(seen: Seen, tmp_path: Path, monkeypatch: pytest
     folder, _ = seen
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
     whole = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
+    whole.to_parquet(tmp_path / "timed.parquet", index=False)
     whole.drop(columns="t").to_parquet(tmp_path / "timeless.parquet", index=False)
     # Overlaps that are no multiple of a frame, whose rounding would count.
     options, scene = gt.ReadOptions(fps=5.0), {"longest_gap": 1.05}
@@ -127,7 +128,7 @@ def test_times_from_a_frame_rate(seen: Seen, tmp_path: Path, monkeypatch: pytest
     ours = associate_dataset(
         tmp_path / "timeless.parquet", found, scene, block_rows=400, read_options=options
     )
-    theirs = associate_dataset(folder, expected, scene, block_rows=400)
+    theirs = associate_dataset(tmp_path / "timed.parquet", expected, scene, block_rows=400)
     assert ours == theirs and ours.n_detections == len(whole) and ours.blocks >= 5
     np.testing.assert_array_equal(pd.read_parquet(found).track_id, pd.read_parquet(expected).track_id)
 
