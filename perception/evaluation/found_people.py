@@ -60,7 +60,7 @@ def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
     for name, chosen in (("all", confidence >= 0.0), ("that are written", written > 0)):
         recall = 100.0 * float(right[chosen].sum()) / people
         rows.append(_row(name, confidence, right, inside, chosen) | {"recall (%)": recall})
-    title = "Town Centre's first minute: detections within 1 m of a person, taught by the other half"
+    title = "Town Centre's first minute: detections within 1 m of a person, model trained on the other half"
     return Table.of(title, rows)
 
 
