@@ -1,6 +1,6 @@
 """`perception calibrate` and `perception adapt`: estimate a camera's view, and fit its own models.
 
-`teach` fits the models within other commands, once per recording.
+`adapt_models` fits the models within other commands, once per recording.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def described(found: FoundView) -> str:
     )
 
 
-def teach(
+def adapt_models(
     path: Path,
     key: str,
     frames: FrameSource,

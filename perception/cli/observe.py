@@ -15,7 +15,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import check_adapt, stamp_of_camera, teach
+from perception.cli.adapt import adapt_models, check_adapt, stamp_of_camera
 from perception.cli.options import (
     Boxes,
     CameraOptions,
@@ -228,7 +228,7 @@ def _observe_file(
 
     refuse, given = refused.setdefault, people is not None
     camera, clock = options_of_camera.on_ground(), options_of_camera.clock(frames)
-    points_place, frames_place, taught_place = _output_paths(output)
+    points_place, frames_place, models_place = _output_paths(output)
     one_size = render is not None and is_video(render)
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
@@ -246,10 +246,10 @@ def _observe_file(
             write_boxes(people, write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
         if chosen.adapt and camera is not None:
-            unfinished.enter_context(while_unfinished(taught_place))
+            unfinished.enter_context(while_unfinished(models_place))
             own = [key_of(frames.stamp(), clock, people, stamp_of_camera(camera))]
-            taught, _ = teach(taught_place, str(own[0]), frames, people, camera, clock, refuse)
-            models = replace(models, of_camera=taught).seeing(camera, frames.size)
+            of_camera, _ = adapt_models(models_place, str(own[0]), frames, people, camera, clock, refuse)
+            models = replace(models, of_camera=of_camera).seeing(camera, frames.size)
         looked = time.perf_counter()
         leaning = None if models.view is None else stamp_of_camera(camera)
         asked_of = (chosen.head_pose, own, people, models.appearance, networks.has_keypoints, leaning)

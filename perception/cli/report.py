@@ -13,7 +13,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight, described, stamp_of_camera, teach
+from perception.cli.adapt import PersonHeight, adapt_models, described, stamp_of_camera
 from perception.cli.observe import ModelOptions
 from perception.cli.options import (
     Boxes,
@@ -95,7 +95,7 @@ def report(
     run.assumed.append(_of_rate(frames, run.clock, camera.fps))
     run.find_people(boxes, given, list(refused))
     run.find_ground(camera.calibration or camera.homography)
-    run.teach(adapt)
+    run.adapt_models(adapt)
     run.observe()
     run.estimate(method)
     run.draw()
@@ -202,7 +202,7 @@ class _Run:
             height = float(np.median([item.box[3] for item in self.people]))
             self.camera = GroundCamera.from_scale(self.person_height / height)
 
-    def teach(self, adapt: bool) -> None:
+    def adapt_models(self, adapt: bool) -> None:
         """Stage 3: the camera's own models."""
         place = self.folder.file("models")
 
@@ -214,7 +214,7 @@ class _Run:
                 place.unlink(missing_ok=True)
                 return [f"{summary}: {'as asked' if not adapt else 'no ground is known'}"]
             refuse, seed = refused.setdefault, self.seed
-            models, summary = teach(
+            models, summary = adapt_models(
                 place, key, self.frames, self.people, self.camera, self.clock, refuse, seed=seed
             )
             if models is None:
@@ -230,12 +230,12 @@ class _Run:
         from perception.observe.pipeline import FrameObservation
         from perception.observe.tables import associated, numbered, to_detections, to_tracks
 
-        place, taught = self.folder.file("observations"), self.folder.file("models")
+        place, own_models = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
 
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
-            chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
+            chosen = ModelOptions(camera_models=own_models if own_models.is_file() else None)
             models = chosen.load(appearance=not identified, has_keypoints=False)
             models = models.seeing(self.camera, self.frames.size)
             with FrameJournal(place.with_name(f"{place.name}.journal"), key, FrameObservation) as journal:
@@ -264,9 +264,9 @@ class _Run:
         def work(key: str) -> list[str]:
             assert self.camera is not None
             observations = self._read("observations")
-            taught = self.folder.file("models")
-            own = taught.is_file() and method not in FILTERS
-            adapted = CameraModels.load(taught).graph if own else lambda model: model
+            own_models = self.folder.file("models")
+            own = own_models.is_file() and method not in FILTERS
+            adapted = CameraModels.load(own_models).graph if own else lambda model: model
             with progress_bar(observations.n_frames) as advance:
                 found, summary = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))

@@ -238,7 +238,7 @@ def look_at_people(
 
 def search_journals(output: Path) -> list[Path]:
     """Return the journals next to an output, which hold the progress of its search."""
-    return [output.with_name(f"{output.name}.{name}") for name in ("detections", "taught")]
+    return [output.with_name(f"{output.name}.{name}") for name in ("detections", "adapted")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,15 +279,15 @@ class PeopleSearch:
         from perception.observe.journal import FrameJournal
 
         key = key_of(self.frames.stamp(), self.clock, self.causal, *self.asked)
-        of_detections, of_taught = search_journals(self.output)
+        of_detections, of_adapted = search_journals(self.output)
         started, before = time.process_time(), time.perf_counter()
         with ExitStack() as journals:
             journal = journals.enter_context(FrameJournal(of_detections, key, Detections))
-            taught = journals.enter_context(FrameJournal(of_taught, key, PersonProbability))
+            adapted = journals.enter_context(FrameJournal(of_adapted, key, PersonProbability))
             report_progress(journal)
             count = len(journal)
             if self.detector is None and self.camera is not None:
-                self._on_ground(self.camera, journal, taught, refuse)
+                self._on_ground(self.camera, journal, adapted, refuse)
             else:
                 detector = self.detector or PeopleDetector()
 
@@ -336,8 +336,8 @@ class PeopleSearch:
                     else:
                         background = backgrounds.at(frame.number)
                         candidates[frame.number] = searching(frame.image).candidates(frame.image, background)
-            probability = self._taught(camera, candidates)
-        probability = probability or PersonProbability.untaught(foreground=bool(backgrounds.parts))
+            probability = self._adapted(camera, candidates)
+        probability = probability or PersonProbability.of_package(foreground=bool(backgrounds.parts))
         if not known:
             known.add(0, probability)
         if search is not None:
@@ -357,10 +357,12 @@ class PeopleSearch:
             return nullcontext(iter(()))
         return self.frames.reported(wanted.__contains__, len(wanted), progress_bar, unit=unit, one_size=True)
 
-    def _taught(self, camera: GroundCamera, candidates: Mapping[int, Candidates]) -> PersonProbability | None:
-        from perception.detection.rescoring import taught
+    def _adapted(
+        self, camera: GroundCamera, candidates: Mapping[int, Candidates]
+    ) -> PersonProbability | None:
+        from perception.detection.rescoring import adapt_to_recording
 
-        found = taught(candidates, camera, self.clock, np.random.default_rng(0))
+        found = adapt_to_recording(candidates, camera, self.clock, np.random.default_rng(0))
         if found is None:
             emit(
                 "  note: too few walking people: the detector is not adapted to this recording, and its "

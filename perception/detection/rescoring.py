@@ -163,7 +163,7 @@ class PersonProbability:
     Attributes
     ----------
     weight : (d,) of the features; bias
-    first, taught, offset : first · score + taught · (weight · features + bias) + offset are log odds
+    first, adapted, offset : first · score + adapted · (weight · features + bias) + offset are log odds
     certainty : calibration of the log odds; None: uncalibrated
     people, boxes : confirmed tracks used for training, and their detections; 0: no recording
     """
@@ -171,7 +171,7 @@ class PersonProbability:
     weight: NDArray[np.float32]
     bias: float
     first: float
-    taught: float
+    adapted: float
     offset: float
     people: int = 0
     boxes: int = 0
@@ -183,18 +183,18 @@ class PersonProbability:
         return 0.5 if self.certainty is None else float(self.certainty.of(np.zeros(1))[0])
 
     @classmethod
-    def untaught(cls, *, foreground: bool) -> PersonProbability:
+    def of_package(cls, *, foreground: bool) -> PersonProbability:
         """Return a fixed model: even odds at a score of the first filter of 0, or 1 with a background."""
         return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
 
     def of(self, candidates: Candidates) -> FloatArray:
         """Probabilities (n,)."""
         linear = candidates.features.astype(np.float32) @ self.weight + self.bias
-        log_odds = self.first * candidates.score + self.taught * linear + self.offset
+        log_odds = self.first * candidates.score + self.adapted * linear + self.offset
         return np.asarray(expit(log_odds) if self.certainty is None else self.certainty.of(log_odds), float)
 
 
-def taught(
+def adapt_to_recording(
     frames: Mapping[int, Candidates],
     camera: GroundCamera,
     clock: float | Clock,
@@ -384,7 +384,7 @@ class GroundDetector:
     def of_frame(cls, camera: GroundCamera, image: Image) -> GroundDetector:
         """Return a detector from the camera alone, for images of this size."""
         size = image.shape[1], image.shape[0]
-        return cls(GroundSearch(camera, size), PersonProbability.untaught(foreground=False))
+        return cls(GroundSearch(camera, size), PersonProbability.of_package(foreground=False))
 
     def detect(self, image: Image) -> Detections:
         """Return people with their probabilities, best first."""

@@ -112,7 +112,7 @@ def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress)
 
 
 def _sequence_errors(
-    models: CameraModels, package: PackageModels, sequence: LobbySequence, taught_by: int
+    models: CameraModels, package: PackageModels, sequence: LobbySequence, trained_on: int
 ) -> dict[str, Cell]:
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people
@@ -125,7 +125,7 @@ def _sequence_errors(
     wanted = walking.keys() | sequence.gaze.keys()
     parts = package.head_localiser, package.body_pose, package.head_pose
     answered = {}
-    for name, of_camera in (("taught", models), ("package", None)):
+    for name, of_camera in (("adapted", models), ("package", None)):
         looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size)
         body, head, everybody = {}, {}, []
         for frame in recording.frames:
@@ -141,10 +141,10 @@ def _sequence_errors(
         answered[name] = body, head
         if of_camera is not None:
             smoothed = _smoothed(everybody, of_camera, recording.clock)
-    body, head = answered["taught"]
+    body, head = answered["adapted"]
     return {
         "judged on": sequence.name,
-        "learned from (people)": taught_by,
+        "learned from (people)": trained_on,
         "walking (people)": len(np.unique(labels.person)),
         "boxes": len(walking),
         "body, walking": _error(body, walking),

@@ -15,7 +15,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration
 from perception.detection.background import Backgrounds, background_samples
 from perception.detection.ground_search import Candidates, GroundSearch, joined
-from perception.detection.rescoring import PersonProbability, taught
+from perception.detection.rescoring import PersonProbability, adapt_to_recording
 from perception.images.frames import FrameSource
 
 RATE = 2.5
@@ -47,7 +47,7 @@ def reliability_table(folder: Path, seed: int, progress: Progress) -> Table:
     parts = []
     for learned, judged in ((first, second), (second, first)):
         of_half = {k: candidates[k] for k in learned.tolist()}
-        known = taught(of_half, camera, RATE, np.random.default_rng(seed))
+        known = adapt_to_recording(of_half, camera, RATE, np.random.default_rng(seed))
         assert known is not None
         parts += [_judged(candidates[k], known, search, camera, truth.get(k)) for k in judged.tolist()]
     confidence, right, inside, written = np.concatenate(parts).T

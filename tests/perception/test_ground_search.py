@@ -32,8 +32,8 @@ from perception.detection.hog import TALL
 from perception.detection.rescoring import (
     GroundDetector,
     PersonProbability,
+    adapt_to_recording,
     learning_frames,
-    taught,
 )
 from perception.images.frames import Frame
 from perception.synthetic import Camera
@@ -203,10 +203,10 @@ def precision_and_recall(
 def test_people_are_found_and_what_is_taught_helps(
     street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
-    untaught = PersonProbability.untaught(foreground=True)
-    of_street = taught(candidates, street.camera, FPS, np.random.default_rng(0))
+    of_package = PersonProbability.of_package(foreground=True)
+    of_street = adapt_to_recording(candidates, street.camera, FPS, np.random.default_rng(0))
     assert of_street is not None and of_street.people >= 4
-    before, after = (precision_and_recall(street, candidates, one) for one in (untaught, of_street))
+    before, after = (precision_and_recall(street, candidates, one) for one in (of_package, of_street))
     assert sum(after) >= sum(before) - 0.02
     assert min(after) > 0.7
 
@@ -216,7 +216,7 @@ def test_what_was_taught_holds_for_other_people(
 ) -> None:
     first = set(list(candidates)[: len(candidates) // 2])
     half = {k: candidates[k] for k in first}
-    of_half = taught(half, street.camera, FPS, np.random.default_rng(0))
+    of_half = adapt_to_recording(half, street.camera, FPS, np.random.default_rng(0))
     assert of_half is not None
     said, true = [], []
     for item in street.boxes[len(first) :]:
@@ -234,10 +234,10 @@ def test_nothing_is_taught_where_nobody_walks(
     street: PastedStreet, candidates: dict[int, Candidates]
 ) -> None:
     still = dict.fromkeys(range(20), candidates[3])
-    assert taught(still, street.camera, FPS, np.random.default_rng(0)) is None
-    assert taught({}, street.camera, FPS, np.random.default_rng(0)) is None
+    assert adapt_to_recording(still, street.camera, FPS, np.random.default_rng(0)) is None
+    assert adapt_to_recording({}, street.camera, FPS, np.random.default_rng(0)) is None
     none = candidates[3].taken(np.zeros(0, np.int64))
-    assert taught({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
+    assert adapt_to_recording({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
 
 
 def test_few_frames_of_a_long_recording_are_learned_from() -> None:
