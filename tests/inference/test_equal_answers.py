@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from selection import others_slow
 from walks import out_and_back, turned
 
 from graphtrack import OnlineSmoother, TrackSet, smooth
@@ -74,13 +75,14 @@ def test_the_answer_does_not_depend_on_the_origin_of_time(
     assert apart(answers, solved([replace(track, t=track.t + FAR) for track in tracks])).max() < SAME
 
 
+@pytest.mark.slow
 def test_gtsam_keeps_orientations_that_only_couplings_hold(
     tracks: list[Track], answers: Sequence[Track]
 ) -> None:
     assert apart(answers[:25], solved(tracks[:25], "gtsam")).max() < SAME
 
 
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+@pytest.mark.parametrize("engine", others_slow(["chain", "fixed-lag", "isam2"], ["chain"]))
 def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track], engine: str) -> None:
     for track in tracks[:12]:
         found = []

@@ -197,7 +197,10 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
     assert np.abs(difference(found_modes[:, 1], modes[:, 1]))[settled].max() < 0.05
 
 
-@GTSAM_ENGINES
+@pytest.mark.parametrize(
+    ("engine", "lag"),
+    others_slow([("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)], [("fixed-lag", 1.0), ("isam2", 1.0)]),
+)
 def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any) -> None:
     track = side_stepping(3.0)
     seen = list(observations(track))

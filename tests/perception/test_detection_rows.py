@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
@@ -95,7 +96,7 @@ def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -
     journal.close()
 
 
-@pytest.mark.parametrize("has_identities", [False, True], ids=["detections", "people"])
+@pytest.mark.parametrize("has_identities", others_slow([False, True], [True]))
 def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, has_identities: bool) -> None:
     """With appearance, from the journal to the table; the difference of two lengths."""
     rng = np.random.default_rng(4)

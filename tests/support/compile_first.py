@@ -9,6 +9,8 @@ import os
 import sys
 import tempfile
 
+import shapely
+
 import graphtrack as gt
 
 
@@ -19,7 +21,7 @@ def solver() -> None:
 
 
 def others() -> None:
-    """GTSAM's engines, data association, the particle filter, and perception."""
+    """GTSAM's engines, association, the particle filter, groups, gaze, forecasts, walls and perception."""
     from documents import run_line
 
     from graphtrack.baselines.particle_filter import particle_smoother
@@ -29,8 +31,12 @@ def others() -> None:
     gt.track_online(TRACK, "joint", engine="isam2")
     gt.smooth(TRACK, "joint", engine="gtsam")
     gt.associate(gt.simulate("position", n_tracks=2, n_steps=40))
+    gt.track_online(TRACK, "position", engine="fixed-lag", walkable=shapely.box(-9, -9, 9, 9))
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
+        run_line("graphtrack simulate -o walks.csv --tracks 2")
+        for command in ("groups", "attention", "forecast"):
+            run_line(f"graphtrack {command} walks.csv -o {command}.csv")
         run_line("perception simulate -o clip --people 1 --frames 2")
         seen = "clip/video.mp4 --boxes clip/boxes.txt --homography clip/homography.txt"
         run_line(f"perception observe {seen} -o seen.csv")
