@@ -46,6 +46,15 @@ def count(value: Any) -> int:
     return int(value)
 
 
+def check_numbers(value: Any) -> None:
+    """Raise TypeError for a truth value among the numbers of a saved channel."""
+    if isinstance(value, list | tuple | dict):
+        for one in value.values() if isinstance(value, dict) else value:
+            check_numbers(one)
+    elif isinstance(value, bool):
+        raise TypeError(f"{value} in place of a number")
+
+
 def to_text(values: FloatArray) -> str:
     """Return an array of numbers as Base64 of their bytes, without its shape."""
     return base64.b64encode(values.astype("<f8").tobytes()).decode()

@@ -18,7 +18,7 @@ from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, 
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS
 from graphtrack.packages import gtsam
-from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, real, unpack_tree
+from graphtrack.saved import DAMAGES, check_numbers, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -397,17 +397,8 @@ def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
     integer(saved["frame"])
     for value in saved.values():
-        _check_numbers(value)
+        check_numbers(value)
     return checked(Observation(**saved))
-
-
-def _check_numbers(value: Any) -> None:
-    """Raise TypeError if there is anything but numbers, names and None in a saved channel."""
-    if isinstance(value, list | tuple | dict):
-        for one in value.values() if isinstance(value, dict) else value:
-            _check_numbers(one)
-    elif isinstance(value, bool):
-        raise TypeError(f"{value} in place of a number")
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
