@@ -9,8 +9,6 @@ import os
 import sys
 import tempfile
 
-import shapely
-
 import graphtrack as gt
 
 
@@ -22,6 +20,7 @@ def solver() -> None:
 
 def others() -> None:
     """GTSAM's engines, association, the particle filter, groups, gaze, forecasts, walls and perception."""
+    import shapely
     from documents import run_line
 
     from graphtrack.baselines.particle_filter import particle_smoother
