@@ -47,7 +47,7 @@ def count(value: Any) -> int:
 
 
 def check_numbers(value: Any) -> None:
-    """Raise TypeError for a truth value among the numbers of a saved channel."""
+    """Raise TypeError for a boolean among saved numbers, at any depth."""
     if isinstance(value, list | tuple | dict):
         for one in value.values() if isinstance(value, dict) else value:
             check_numbers(one)

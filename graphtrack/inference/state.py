@@ -396,8 +396,7 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
     integer(saved["frame"])
-    for value in saved.values():
-        check_numbers(value)
+    check_numbers(saved)
     return checked(Observation(**saved))
 
 

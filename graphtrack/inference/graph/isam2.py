@@ -56,8 +56,8 @@ class Isam2:
     model : the terms
     lag : length of the window in seconds, back from its newest step; infinite: all history
     relinearize_threshold : change of a variable beyond which it is re-linearised (metres, m/s, radians)
-    step_tolerance : the updates for an observation end when all variables are within this, or within the
-        threshold, of their linearisation points
+    step_tolerance : the updates for an observation end when all variables are within this, or within twice
+        the threshold, of their linearisation points
     max_iterations : most updates for an observation
     couplings : couplings of each step, set by the modes; see `recouple`
 
