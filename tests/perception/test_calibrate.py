@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -189,8 +189,7 @@ def written(folder: Path, boxes: list[PersonBox]) -> tuple[Path, Path]:
 def test_the_command_writes_a_calibration_that_is_read(tmp_path: Path) -> None:
     camera = Camera((0.0, 0.0, 4.0), 1.0, -0.45, 1100.0, SIZE)
     frames, boxes = written(tmp_path, crowd(camera, np.random.default_rng(5)))
-    done = run("calibrate", frames, "--boxes", boxes, "-o", tmp_path / "camera.ci")
-    assert done.returncode == 0, done.stderr
+    done = ran("calibrate", frames, "--boxes", boxes, "-o", tmp_path / "camera.ci")
     assert "without distortion" in done.stdout + done.stderr
     found = read_calibration(tmp_path / "camera.ci")
     expected = found_view(read_boxes(boxes), SIZE, np.random.default_rng(0))

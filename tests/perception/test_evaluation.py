@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 
 from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
@@ -117,8 +117,7 @@ def test_the_experiment_on_pixels_has_the_papers_numbers_and_ours() -> None:
 @pytest.mark.slow
 def test_the_pose_table_and_its_picture(tmp_path: Path) -> None:
     written = tmp_path / "t.json"
-    done = run("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png", "--json", written)
-    assert done.returncode == 0, done.stderr
+    done = ran("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png", "--json", written)
     for text in ("templates", "exemplars", "deep_belief", "body_pose", "TPR", "FPR"):
         assert text in done.stdout
     assert cv2.imread(str(tmp_path / "p.png")) is not None
@@ -134,8 +133,7 @@ def test_wrong_tables_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_forms_as_printed_stand_beside_ours() -> None:
-    done = run("evaluate", "published", "--train", 200, "--count", 50)
-    assert done.returncode == 0, done.stderr
+    done = ran("evaluate", "published", "--train", 200, "--count", 50)
     for text in ("body_pose: ours", "templates: ours", "head_localiser: ours"):
         assert text in done.stdout
     assert done.stdout.count("as printed") >= 4

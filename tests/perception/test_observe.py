@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import ran, run
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -79,8 +79,7 @@ def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
 def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "observations.csv"
     options = ["--boxes", clip / "boxes.txt", "--homography", clip / "homography.txt", "--fps", 5]
-    done = run("observe", clip / "frames", *options, "-o", out)
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", clip / "frames", *options, "-o", out)
     assert "6 person-frames in 1 track" in done.stderr
     assert not list(tmp_path.glob("*.journal"))
     track = gt.read(out).by_id(7)
@@ -131,8 +130,7 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
 3,8,-60000,-60000,120000,120000,1,-1,-1,-1
 """
     (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + more)
-    done = run("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
     for text in (
         "0003.png cannot be decoded",
         "inside the image",
@@ -204,8 +202,7 @@ def test_a_detection_depends_on_no_other_when_causal(long_clip: Path, tmp_path: 
 def test_looks_are_written_when_asked_for(clip: Path, tmp_path: Path, asked: bool) -> None:
     boxes = clip / "boxes.txt" if asked else nobodys(clip, tmp_path)
     option = "--appearance" if asked else "--no-appearance"
-    done = run("observe", clip / "frames", "--boxes", boxes, "--fps", 5, option, "-o", tmp_path / "o.csv")
-    assert done.returncode == 0, done.stderr
+    ran("observe", clip / "frames", "--boxes", boxes, "--fps", 5, option, "-o", tmp_path / "o.csv")
     columns = set(pd.read_csv(tmp_path / "o.csv").columns)
     assert ("appearance_0" in columns) == asked == ("score" not in columns)
 
@@ -236,8 +233,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     journal = tmp_path / "o.csv.journal"
     with journal.open("a") as stream:
         stream.write('{"frame": 77, "known": {"people": [{"frame": 77}], "refused": []}}\n')
-    done = run(*arguments)
-    assert done.returncode == 0, done.stderr
+    ran(*arguments)
     assert looked == ([0, 1, 2, 3, 3, 4, 5] if where == "observing" else [0, 1, 2, 3, 4, 5])
     assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
 
@@ -301,15 +297,13 @@ def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest
 def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered street of 8 frames, whose people have several candidates of the head."""
     folder = tmp_path_factory.mktemp("street") / "clip"
-    done = run("simulate", "-o", folder, "--frames", 8, "--seed", 12, "--images")
-    assert done.returncode == 0, done.stderr
+    ran("simulate", "-o", folder, "--frames", 8, "--seed", 12, "--images")
     return folder
 
 
 def rows_of(clip: Path, frames: Path, out: Path, *options: object) -> pd.DataFrame:
     given = ["--homography", clip / "homography.txt", "--fps", 5]
-    done = run("observe", frames, *given, *options, "-o", out)
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", frames, *given, *options, "-o", out)
     table = pd.read_json(StringIO(done.stdout), lines=True) if str(out) == "-" else pd.read_csv(out)
     return table.sort_values(["track_id", "frame", "u", "v"], ignore_index=True)
 
