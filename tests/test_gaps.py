@@ -60,8 +60,7 @@ def test_estimates_at_another_rate_are_those_of_a_model_without_these_frames(hz)
             with_times_at(tracks, wrong)
 
 
-def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_fills_and_resamples(cwd):
     there = np.ones(60, bool)
     there[20:31] = False
     gt.write(gt.TrackSet((walk()[there], walk(track_id=2))), "tracks.csv")

@@ -247,12 +247,6 @@ def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> No
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
 
 
-def test_a_head_without_any_position_is_refused() -> None:
-    track = replace(walk(6, track_id=42), position=np.full((6, 2), np.nan))
-    with pytest.raises(SolveError, match=r"track 42: .*no position"):
-        intentional_tracker(track)
-
-
 @pytest.mark.parametrize("rate", [-1.0, math.nan])
 def test_a_rate_out_of_range(rate: float) -> None:
     with pytest.raises(InputError, match="rate"):

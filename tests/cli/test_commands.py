@@ -63,13 +63,6 @@ def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
     assert set(pd.read_csv(tmp_path / "out.csv").track_id) == {1}
 
 
-def test_simulate_says_what_it_simulates(tmp_path):
-    for model, said in (("joint", "model joint\n"), ("full", "model full\n")):
-        output = tmp_path / "out.csv"
-        done = run("simulate", "-o", output, "--tracks", 1, "--steps", 3, "--model", model)
-        assert done.returncode == 0 and done.stderr.endswith(said)
-
-
 @pytest.mark.parametrize("program", ["graphtrack", "perception"])
 def test_every_option_has_a_text_in_the_help(program):
     group = typer.main.get_command(import_module(f"{program}.cli.commands").app)
@@ -172,8 +165,7 @@ def test_no_control_character_is_printable_and_all_else_is(text: str) -> None:
 
 
 @pytest.fixture
-def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.chdir(tmp_path)
+def named(cwd: Path) -> str:
     name = "a\x1b[2J\nerror: b.csv"
     rows = "".join(f'1,{k},{k / 10},0,0,"{LABEL}"\n' for k in range(3))
     Path(name).write_text("track_id,frame,t,x,y,label\n" + rows)

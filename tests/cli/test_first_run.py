@@ -25,9 +25,8 @@ SAID = "compiling, once on this machine"
 
 
 @pytest.fixture
-def cold(tmp_path, monkeypatch):
+def cold(cwd, monkeypatch):
     """A folder with tracks, on a machine where the first run of an engine compiles it."""
-    monkeypatch.chdir(tmp_path)
     gt.write(gt.simulate("joint", n_tracks=2, n_steps=5, rng=np.random.default_rng(0)), "tracks.csv")
     gt.write(gt.read("tracks.csv"), "tracks.parquet")
     clock, known = [0.0], set()
@@ -43,7 +42,7 @@ def cold(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "make_ready", make_ready)
     ticks = count()
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0] + 1e-6 * next(ticks))
-    return tmp_path
+    return cwd
 
 
 def run(monkeypatch, capsys, line, stdin=""):

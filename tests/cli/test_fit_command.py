@@ -22,10 +22,9 @@ run = partial(command.run, program="graphtrack")
 
 
 @pytest.fixture
-def people(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def people(cwd: Path) -> Path:
     gt.write(gt.simulate("position", n_tracks=5, n_steps=40, rng=np.random.default_rng(0)), "people.csv")
-    return tmp_path
+    return cwd
 
 
 def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
@@ -58,18 +57,6 @@ def test_what_cannot_be_done_is_said_in_one_line(people: Path, wrong: list[str])
     assert not (people / "learned.toml").exists()
 
 
-def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> None:
-    # The file declares its noise, so that its positions do not determine the default noise.
-    options = ["--model", "position", "--json", "learned.json"]
-    done = run("fit", "people.csv", "-o", "learned.toml", *options)
-    assert done.returncode == 0 and "not identified" in done.stdout
-    told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
-    notes = {one["name"]: one for one in told["learned"]}
-    kept = notes["likelihood.position_std"]
-    assert "kept" in kept["note"] and kept["value"] == kept["start"]
-    assert not notes["motion.acceleration_density"]["note"]
-
-
 def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:
     # Training people hardly move, held-out people do: any learned value is wrong for them.
     calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
@@ -87,15 +74,14 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(peopl
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(cwd: Path) -> Path:
     """A folder with detections, and with the same detections labelled; false ones have −1."""
-    monkeypatch.chdir(tmp_path)
     detections, whose = street(np.random.default_rng(0), people=8, frames=50, miss=0.15, false=0.5)
     lines = zip(detections.frame, detections.t, *detections.position.T, whose, strict=True)
     rows = [f"{frame},{t:.9g},{x:.9g},{y:.9g},{who}" for frame, t, x, y, who in lines]
     Path("labelled.csv").write_text("\n".join(["frame,t,x,y,track_id", *rows]) + "\n")
     Path("seen.csv").write_text("\n".join(row.rpartition(",")[0] for row in ["frame,t,x,y,", *rows]) + "\n")
-    return tmp_path
+    return cwd
 
 
 def fit(*arguments: str) -> Done:

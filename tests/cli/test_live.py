@@ -217,8 +217,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
     ],
 )
-def test_a_state_of_other_options_is_refused_by_name(track, state, tmp_path, monkeypatch, changed, told):
-    monkeypatch.chdir(tmp_path)
+def test_a_state_of_other_options_is_refused_by_name(track, state, cwd, changed, told):
     Path("plane.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
     before = state.read_bytes()
     options = [word for pair in (SAME | changed).items() for word in pair]
@@ -302,21 +301,6 @@ def test_a_state_where_no_file_can_be(track, tmp_path):
 
 
 # -- ends ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("lag", "engine", "told"),
-    [
-        ("soon", "isam2", "found --lag soon, expected a number of seconds, or none"),
-        ("0", "isam2", "found lag = 0.0, expected a positive number of seconds"),
-        ("none", "chain", "found no lag with the engine chain"),
-        ("none", "fixed-lag", "found no lag with the engine fixed-lag"),
-    ],
-)
-def test_a_lag_that_an_engine_cannot_keep_is_refused(track, lag, engine, told):
-    status, answers, said = track(scene(1), "--engine", engine, "--model", "joint", "--lag", lag)
-    assert (status, answers, said.count("\n")) == (2, [], 1)
-    assert said.startswith("error: ") and told in said
 
 
 def test_closed_streams_are_one_error(track, monkeypatch):

@@ -283,7 +283,7 @@ def test_tracks_count_alike_however_long_they_are() -> None:
     assert pooled([long])["nees_error"] is None
 
 
-def test_a_comparison_has_it_for_each_method_and_quantity(tmp_path, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
+def test_a_comparison_has_it_for_each_method_and_quantity(cwd, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
     tracks = TrackSet(tuple(walk(40, seed=k, track_id=k) for k in range(1, 4)))
     found = compare(tracks, ["kf", "rts"])
     rows = {(row["method"], row["quantity"]): row for row in found.calibration}
@@ -295,14 +295,13 @@ def test_a_comparison_has_it_for_each_method_and_quantity(tmp_path, monkeypatch,
     assert NEUTRAL_COLOUR not in {line.get_color() for line in axes[0].lines}
     from graphtrack.io import write
 
-    write(tracks, tmp_path / "walks.csv")
-    monkeypatch.chdir(tmp_path)
+    write(tracks, cwd / "walks.csv")
     arguments = ["compare", "walks.csv", "--methods", "kf,rts", "--figures", "made"]
     monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments, "--json", "found.json"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 0
     assert "Reliability" in capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "made").iterdir()} == {"errors.png", "reliability.png"}
-    kept = json.loads((tmp_path / "found.json").read_text())
+    assert {path.name for path in (cwd / "made").iterdir()} == {"errors.png", "reliability.png"}
+    kept = json.loads((cwd / "found.json").read_text())
     assert [row["nees"] for row in kept["calibration"]] == [row["nees"] for row in found.calibration]

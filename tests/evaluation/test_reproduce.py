@@ -223,8 +223,7 @@ def test_a_table_is_rectangular_and_ready_for_json() -> None:
         Table("t", ("a", "b"), ((1,),))
 
 
-def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # without recordings: the corpus alone
+def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     tables = []
     for name in ("first", "again"):
@@ -232,8 +231,8 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         arguments += ["--out", name, "--json", f"{name}/tables.json"]
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 0, result.output
-        assert (tmp_path / name / "baxter-statistics.png").stat().st_size > 10_000
-        tables.append(json.loads((tmp_path / name / "tables.json").read_text(encoding="utf-8")))
+        assert (cwd / name / "baxter-statistics.png").stat().st_size > 10_000
+        tables.append(json.loads((cwd / name / "tables.json").read_text(encoding="utf-8")))
     assert tables[0] == tables[1]
     detail, beside = tables[0]
     assert detail["columns"][0] == "data"
@@ -253,8 +252,7 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         (["reproduce", "chen-joint", "--out", "x", "--data", "nowhere"], "no such folder"),
     ],
 )
-def test_wrong_use(arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_wrong_use(arguments: list[str], said: str, cwd: Path) -> None:
     with pytest.raises(InputError, match=said):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 

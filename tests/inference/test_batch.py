@@ -21,7 +21,6 @@ from graphtrack.model import (
     LikelihoodParameters,
     Model,
     MotionParameters,
-    OrientationParameters,
     Parameters,
     presets,
 )
@@ -280,37 +279,6 @@ def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies(
 
 
 # Likelihoods.
-
-
-@pytest.mark.parametrize("robust", ["huber", "cauchy"])
-def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust: str) -> None:
-    track = walk(30, seed=3, noise=0.05)
-    spoiled = track.position.copy()
-    spoiled[15] += [4.0, -3.0]
-    spoiled_track = replace(track, position=spoiled)
-    parameters = Parameters(likelihood=LikelihoodParameters(robust=robust))
-    clean = smooth_track(track, Model("position")).track
-    plain = smooth_track(spoiled_track, Model("position")).track
-    sound = smooth_track(spoiled_track, Model("position", parameters)).track
-    ruined = np.linalg.norm(plain.position - clean.position, axis=1).max()
-    resisted = np.linalg.norm(sound.position - clean.position, axis=1).max()
-    assert ruined > 0.5 and resisted < 0.2 * ruined
-
-
-def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood() -> None:
-    track = walk(40, seed=3, angle_kappa=50.0)
-    spoiled = np.array(track.body)
-    spoiled[18:21] = wrap(spoiled[18:21] + 2.2)
-    track = replace(track, body=spoiled, body_kappa=np.full(40, 50.0))
-    errors = {}
-    for outlier in (0.0, 0.1):
-        parameters = Parameters(
-            orientation=OrientationParameters(body_diffusion=0.5),
-            likelihood=LikelihoodParameters(outlier_probability=outlier),
-        )
-        found = smooth_track(track, Model("separate", parameters)).track
-        errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
-    assert errors[0.0] > 0.5 and errors[0.1] < 0.4 * errors[0.0]
 
 
 def oblique_camera() -> GroundCamera:

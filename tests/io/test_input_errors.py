@@ -28,13 +28,6 @@ def line_with(data: bytes, fragment: bytes) -> int:
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
-def test_the_undamaged_file_is_read_and_every_row_counted(sample: Sample, tmp_path: Path) -> None:
-    tracks = io.read_identified(sample.write(tmp_path), **sample.options)
-    assert tracks.summary.format == sample.format and tracks.summary.rows_read == sample.rows
-    assert tracks.summary.rows_used == tracks.n_frames and len(tracks) == 2
-
-
-@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
 def test_missing_empty_binary_and_odd_paths(sample: Sample, tmp_path: Path) -> None:
     path = tmp_path / Path(sample.name).name
     assert refused(path, format=sample.format).path == str(path)

@@ -25,7 +25,6 @@ CAMERA = GroundCamera.from_calibration(
     np.array([0.0, 4.0 * np.cos(0.35), 4.0 * np.sin(0.35)]),
     np.array([[400.0, 0.0, 320.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]]),
 )
-SIZE = (480, 640)
 FRAMES = 12
 
 
@@ -69,30 +68,6 @@ def test_a_frame_has_its_people_with_boxes_on_their_positions(sv: Any) -> None:
     assert [len(one) for one in everybody.values()] == [1, 1, 2, 2, 2, 1, *[2] * 6]
     homography = gt.to_supervision(scene.tracks[0], 4, camera=CAMERA.homography)
     np.testing.assert_allclose(homography.xyxy[0, 3], found.xyxy[0, 3])
-
-
-def test_annotators_draw_boxes_and_traces(sv: Any) -> None:
-    image = np.zeros((*SIZE, 3), np.uint8)
-    colours = sv.ColorPalette([sv.Color(255, 0, 0), sv.Color(0, 255, 0)])
-    lookup = sv.ColorLookup.TRACK
-    boxes = sv.BoxAnnotator(colours, thickness=1, color_lookup=lookup)
-    traces = sv.TraceAnnotator(colours, sv.Position.BOTTOM_CENTER, thickness=1, color_lookup=lookup)
-    labels = sv.LabelAnnotator(colours, color_lookup=lookup)
-    found = gt.to_supervision(people())
-    for detections in found.values():
-        drawn = boxes.annotate(image.copy(), detections)
-        drawn = traces.annotate(drawn, detections)
-    last = found[FRAMES - 1]
-    for row, (left, top, right, bottom) in enumerate(last.xyxy.round().astype(int)):
-        for u, v in ((left, (top + bottom) // 2), (right, (top + bottom) // 2), ((left + right) // 2, top)):
-            assert drawn[v - 1 : v + 2, u - 1 : u + 2].any(), f"no box at {u}, {v}"
-        assert not drawn[top + 5, left + 3].any()  # only an outline
-        track = people().by_id(int(last.tracker_id[row]))
-        known = track.position[np.isfinite(track.position[:, 0])]
-        for u, v in CAMERA.ground_to_image(known).round().astype(int):
-            assert drawn[v - 2 : v + 3, u - 2 : u + 3].any(), f"no trace at {u}, {v}"
-    with_labels = labels.annotate(image.copy(), last, labels=list(last.data["label"]))
-    assert with_labels.any()
 
 
 def test_what_supervision_gave_goes_back_to_it_and_is_read_again(sv: Any) -> None:

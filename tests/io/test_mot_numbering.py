@@ -12,7 +12,6 @@ import command
 import numpy as np
 import pandas as pd
 import pytest
-from command import run as run_program
 from format_samples import sample_of
 from refusals import refused
 from same_tracks import assert_same
@@ -66,13 +65,6 @@ def test_frames_from_1_on_stay_as_they_are(first: int, tmp_path: Path) -> None:
 def test_frames_below_0_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frame -2, expected frames from 0 in MOT text"):
         gt.write(people(-2), tmp_path / "tracks.txt")
-
-
-def test_the_command_says_that_frames_are_shifted(tmp_path: Path) -> None:
-    gt.write(people(0), tmp_path / "tracks.csv")
-    done = run_program("convert", tmp_path / "tracks.csv", "-o", tmp_path / "x.txt", program="graphtrack")
-    assert done.returncode == 0 and "note: frames begin at 0" in done.stderr, done.stderr
-    assert min(frames_in(tmp_path / "x.txt")) == 1
 
 
 @pytest.mark.parametrize("first", [0, 1, 60])
@@ -141,16 +133,6 @@ def test_boxes_alone_are_written_for_evaluation_in_the_image(tmp_path: Path) -> 
     assert trackeval_scores(*files, 6, tmp_path) == (1.0, 1.0)
 
 
-def test_time_steps_are_those_that_trackeval_expects(tmp_path: Path) -> None:
-    """Its rule (``_load_raw_file``): the first column is among 1, 2 … the sequence's length."""
-    with pytest.warns(InputWarning):
-        gt.write(people(0), tmp_path / "tracks.txt")
-    boxes = [PersonBox(k, 1, (10.0, 20.0, 30.0, 80.0)) for k in range(6)]
-    write_boxes(boxes, tmp_path / "boxes.txt")
-    for name in ("tracks.txt", "boxes.txt"):
-        assert {*frames_in(tmp_path / name)} <= {*range(1, 7)}
-
-
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
     """Two people, at 14 frames a second, and a detector's output for one of them."""
@@ -194,9 +176,8 @@ def test_folders_of_sequences_are_compared_one_by_one(sequence: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["walks.parquet", "walks.csv"])
-def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_by_its_url(name: str, cwd: Path) -> None:
     fsspec = pytest.importorskip("fsspec")
-    monkeypatch.chdir(tmp_path)
     url, n = f"memory://bucket/{name}", np.arange(12)
     who = np.repeat(["anna", "bob", "eve"], 4)
     walks = pd.DataFrame({"who": who, "seconds": n % 4, "east": n % 4 + n // 4.0, "north": 0.5})
@@ -209,8 +190,8 @@ def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
     done = command.run("info", url, "--columns", columns, program="graphtrack")
     assert done.returncode == 0 and url in done.stderr and "anna" in done.stdout
     walks.to_csv("walks.csv", index=False)
-    assert len(io.read_identified(f"file://{tmp_path}/walks.csv", columns=columns)) == 3
-    for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{tmp_path}/none.csv"):
+    assert len(io.read_identified(f"file://{cwd}/walks.csv", columns=columns)) == 3
+    for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{cwd}/none.csv"):
         assert wrong in str(refused(wrong))
         done = command.run("info", wrong, program="graphtrack")
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1

@@ -125,9 +125,8 @@ VARIANTS: dict[str, Callable[[], bytes]] = {
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def here(cwd: Path) -> Path:
+    return cwd
 
 
 def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TrackSet, str]:

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from command import ran, run
 
-from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
 from perception.drawing.overlays import Cues, draw_cues
 from perception.evaluation.classifiers import class_rates
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of
-from perception.experiments.chen_pixels import EXPERIMENT
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
 from perception.synthetic.clips import Clip, walking_clip
@@ -101,17 +99,6 @@ def test_arrows_point_where_they_should(clip: Clip, people: list[ObservedPerson]
     changed = np.nonzero((pictures[0].astype(int) - pictures[1]).any(axis=2))
     red = [(np.asarray(p)[changed] == (60, 60, 235)).all(axis=1) for p in pictures]
     assert changed[1][red[0]].mean() > 120.0 > changed[1][red[1]].mean()
-
-
-@pytest.mark.slow
-def test_the_experiment_on_pixels_has_the_papers_numbers_and_ours() -> None:
-    found = EXPERIMENT.run(Settings(quick=True), lambda count: None)
-    beside = found.tables[-1].records()
-    assert {row["paper: joint"] for row in beside} == {21.9, 17.6}
-    assert {"particle (online)", "graph, chain (online)", "smoother (offline)"} <= {
-        row["ours: method"] for row in beside
-    }
-    assert len(found.figure.subfigs) == 2
 
 
 @pytest.mark.slow

@@ -117,14 +117,6 @@ def test_the_experiment_without_recordings_has_the_splits_alone() -> None:
     assert any("not found" in note for note in found.notes)
 
 
-@pytest.mark.slow
-def test_the_experiment_has_the_papers_gain_beside_ours(data_dir, people: list[PersonWithHeads]) -> None:
-    found = EXPERIMENT.run(Settings(quick=True, data=data_dir), lambda count: None)
-    rows = found.tables[-1].records()
-    assert {row["heads"] for row in rows} == {"labelled", "network"}
-    assert [row["paper: CLL gain"] for row in rows if row["detection %"] == 100].count(1.158) == 2
-
-
 def test_a_window_hides_all_positions_that_follow_and_its_heads_are_seen_from_the_last_one() -> None:
     camera, n = lobby_camera(), 18
     position = np.column_stack([1.0 + 0.3 * np.arange(n), 2.0 + 0.1 * np.arange(n)])

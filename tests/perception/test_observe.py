@@ -142,14 +142,6 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
     assert sorted(pd.read_csv(tmp_path / "out.csv")["frame"]) == [0, 1, 2, 4, 5]
 
 
-def test_boxes_that_cannot_be_used_are_one_line(clip: Path, tmp_path: Path) -> None:
-    line = "2,7,10,10,30,80,1,-1,-1,-1\n"
-    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + line)
-    done = run("observe", clip / "frames", "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
-    assert done.returncode == 2 and "line 7: found track 7 again in frame 2" in done.stderr
-    assert done.stderr.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
-
-
 def nobodys(clip: Path, folder: Path) -> Path:
     """The clip's boxes as a detector gives them: in any order, without identities, with log odds."""
     boxes = read_boxes(next(clip.glob("boxes.txt")))[::-1]
@@ -268,20 +260,6 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
     done = run("observe", clip / "frames", *options, "-o", tmp_path / "again.csv", "--render", out)
     assert done.returncode == 0 and f"and {out}" in done.stderr
     assert FrameSource.open(out).count == 6
-
-
-def test_a_video_of_images_of_two_sizes_is_refused_at_the_first(clip: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for k, path in enumerate(sorted((clip / "frames").iterdir())):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(folder / path.name), image if k < 4 else image[:200])
-    arguments = "observe", folder, "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv", "--render"
-    done = run(*arguments, tmp_path / "shown.mp4")
-    assert done.returncode == 2 and "frame 4 of 320 × 200 pixels, expected 320 × 240" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
-    assert run(*arguments, tmp_path / "shown").returncode == 0
-    assert len(drawn(tmp_path / "shown")) == 6
 
 
 def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

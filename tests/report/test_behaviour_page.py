@@ -370,14 +370,13 @@ def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
 
 
 @pytest.fixture
-def here(tracks, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def here(tracks, cwd):
     gt.write(tracks, "tracks.csv")
     write_table(grouped(tracks).columns(), "groups.csv")
     write_table(attention_columns(looking(tracks, (BAR,))), "attention.csv")
     write_table(forecast(tracks).columns, "forecast.csv")
-    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,4,3,0.5\n")
-    return tmp_path
+    (cwd / "places.csv").write_text("name,x,y,radius\nbar,4,3,0.5\n")
+    return cwd
 
 
 def graphtrack(line):

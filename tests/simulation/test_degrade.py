@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import ran, run
 from scipy import stats
 from walks import walk
 
-import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.geometry.angles import class_centres, difference, mean_resultant_length, unit
 from graphtrack.simulation.degrade import (
@@ -212,10 +210,6 @@ def crowd(people: int = 60, seconds: float = 24.0, fps: float = 5.0) -> TrackSet
     return TrackSet(tuple(tracks))
 
 
-def people_of(tracks: TrackSet) -> list[Track]:
-    return [track for track in tracks if track.label != FALSE]
-
-
 def is_observed(track: Track) -> np.ndarray:
     return np.isfinite(track.position).all(axis=1)
 
@@ -340,22 +334,6 @@ def test_impossible_faults_are_refused(bad: dict) -> None:
 def test_impossible_times_are_refused(every: float) -> None:
     with pytest.raises(InputError, match="every"):
         sampled(crowd(), every)
-
-
-@pytest.mark.slow
-def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    gt.write(crowd(25), "exact.csv")
-    line = "add-noise exact.csv -o {} --truth-output truth.csv --every 0.4 --position-noise 0.1 --missed 0.1"
-    line += " --occlude-share 0.5 --clutter 0.5 --seed 3"
-    done = run(*line.format("known.csv").split(), program="graphtrack")
-    assert done.returncode == 0 and "false" in done.stderr
-    score = gt.score("known.csv", "truth.csv").together
-    assert score.idr > 0.8 and score.idp > 0.95 and 0.8 < score.recall < 0.95
-    done = ran(*line.format("anonymous.csv").split(), "--anonymous", program="graphtrack")
-    assert (tmp_path / "anonymous.csv").read_text().splitlines()[0] == "frame,t,x,y,head_deg"
-    read = gt.read("anonymous.csv")
-    assert any(note.startswith("associated ") for note in read.summary.notes)
 
 
 @pytest.mark.parametrize(
