@@ -5,9 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
-import os
 import re
-import subprocess
 import sys
 import time
 from itertools import count
@@ -94,19 +92,3 @@ def test_bad_options_are_refused_before_anything_is_compiled(cold, monkeypatch, 
         with pytest.raises(SystemExit, match="2"):
             main()
         assert SAID not in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_groups_and_looks_report_that_they_compile(tmp_path):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    table, program = tmp_path / "tracks.csv", [sys.executable, "-m", "graphtrack"]
-    subprocess.run([*program, "simulate", "-o", table, "--tracks", "2", "--steps", "20"], check=True)
-    for command in ("attention", "groups"):
-        found = subprocess.run(
-            [*program, command, table, "-o", tmp_path / "out.csv"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert ("compiling groups and looks" in found.stderr) == (command == "attention")

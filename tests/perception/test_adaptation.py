@@ -10,7 +10,6 @@ import pytest
 from command import ran, run
 from street_files import write_street
 
-from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.model import Model
@@ -148,23 +147,6 @@ def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, s
         assert text in said
 
 
-def test_observe_uses_what_the_camera_has_learned(
-    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
-) -> None:
-    arguments = write_street(others, tmp_path / "street")
-    ran("observe", *arguments, "--models", adapted[0], "-o", tmp_path / "o.csv")
-    tracks = io.read_identified(tmp_path / "o.csv")
-    assert len(tracks) == 8
-    body = np.concatenate([track.body_likelihood for track in tracks if track.body_likelihood is not None])
-    models = CameraModels.load(adapted[0])
-    image = others.frames[0].image
-    assert image is not None
-    first = np.exp(models.look(image, [others.boxes[0].box])[0][0])
-    # The table turns by the ray and interpolates; the most certain image angles stay about as certain.
-    assert abs(body[0].max() - first.max()) < 0.25
-    np.testing.assert_allclose(body.sum(axis=1), 1.0, atol=1e-3)
-
-
 def test_frames_of_another_size_are_refused(adapted: tuple[Path, str]) -> None:
     models = CameraModels.load(adapted[0])
     with pytest.raises(InputError, match="320 × 240"):
@@ -187,15 +169,6 @@ def test_what_cannot_be_learned_from_is_one_line_and_nothing_is_written(case: st
     said = {"no camera": "--calibration or --homography", "nobody walks": "walking people", "name": ".npz"}
     assert said[case] in done.stderr and done.stderr.count("error:") == 1
     assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_models_beside_a_model_of_one_part_are_refused(
-    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
-) -> None:
-    arguments = write_street(others, tmp_path / "street")
-    own = ["--body-pose-model", adapted[0]]
-    done = run("observe", *arguments, "--models", adapted[0], *own, "-o", tmp_path / "o.csv")
-    assert done.returncode == 2 and "one of them" in done.stderr
 
 
 def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from command import ran, run
+from command import run
 
 import graphtrack as gt
 from graphtrack import io
@@ -179,19 +179,6 @@ def test_observe_looks_at_the_frames_of_the_boxes(options: list[object], video: 
 def homography(folder: Path) -> Path:
     np.savetxt(folder / "homography.txt", np.diag([0.02, 0.02, 1.0]))
     return folder / "homography.txt"
-
-
-def test_an_option_for_boxes_that_are_not_there_is_refused(video: Path, tmp_path: Path) -> None:
-    done = run("observe", video, "--boxes-first-frame", 1, "-o", tmp_path / "out.csv")
-    assert done.returncode == 2 and "--boxes-first-frame without --boxes" in done.stderr
-
-
-def test_observe_takes_boxes_of_coco(video: Path, tmp_path: Path) -> None:
-    boxes, out = coco(tmp_path / "detections.json"), tmp_path / "out.csv"
-    ran("observe", video, "--boxes", boxes, "-o", out, "--homography", homography(tmp_path))
-    found = pd.read_csv(out)
-    assert found["frame"].tolist() == [frame for frame, _ in WALK]
-    assert set(found["track_id"]) == {-1} and (found["score"] == 0.9).all()
 
 
 def as_dataset(entries: list[dict[str, Any]]) -> dict[str, Any]:

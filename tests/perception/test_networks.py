@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -102,17 +101,6 @@ def test_a_pose_network_makes_boxes_or_is_asked_of_those_given(walk: Path, tmp_p
     # A person facing the camera, which is below the image: the same for any detector.
     np.testing.assert_allclose(given[body], alone[body].iloc[1:], atol=1e-3)
     ran("observe", walk, "--keypoints", model, "--detector", brightest(tmp_path / "d.onnx"), "-o", "-")
-
-
-def test_streamed_rows_are_those_of_the_file(walk: Path, tmp_path: Path) -> None:
-    model = pose_network(tmp_path / "p.onnx", PERSON, (44, 10, 60, 60, 0.5, 0))
-    out = tmp_path / "out.ndjson"
-    assert run("observe", walk, "--keypoints", model, "--causal", "-o", out).returncode == 0
-    streamed = run("observe", walk, "--keypoints", model, "-o", "-")
-    table, rows = pd.read_json(out, lines=True), pd.read_json(StringIO(streamed.stdout), lines=True)
-    order = ["frame", "u"]
-    table, rows = (one.sort_values(order, ignore_index=True) for one in (table, rows))
-    pd.testing.assert_frame_equal(rows[table.columns], table, rtol=1e-3, atol=1e-3, check_dtype=False)
 
 
 @pytest.mark.parametrize("option", ["--detector", "--keypoints"])

@@ -341,6 +341,8 @@ def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Pat
         (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes with --boxes"),
         (["--homography", "h.txt", "--calibration", "h.txt"], "o.csv", "--homography and --calibration"),
         (["--boxes", "det.txt"], "o.txt", "detections without identities"),
+        (["--boxes-first-frame", "1"], "o.csv", "--boxes-first-frame without --boxes"),
+        (["--models", "h.txt", "--body-pose-model", "h.txt"], "o.csv", "one of them"),
         (["--render", "seen.mp4"], "-", "--render with -o -"),
         (["--write-boxes", "b.txt"], "-", "--write-boxes with -o -"),
     ],

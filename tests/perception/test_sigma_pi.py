@@ -18,7 +18,6 @@ from graphtrack.errors import InputError
 from perception.experiments.head_trackers import heads_of, slower
 from perception.experiments.sigma_pi_runs import Tally, recordings
 from perception.images.pixels import Image, enlarged
-from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.trackers import color, sigma_pi_cues
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_cues import (
@@ -38,7 +37,7 @@ from perception.trackers.sigma_pi_network import (
     output,
     products,
 )
-from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, Proposal, predict, states_of
+from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, predict, states_of
 
 SIZE = (200, 150)
 TARGET = (32, 36)
@@ -161,16 +160,6 @@ def test_cues_that_are_not_used_have_no_part() -> None:
     assert [name for name in TERM_NAMES if found.cues[f"reliability {name}"] != 0.0] == ["motion"]
 
 
-def test_a_proposal_draws_particles_to_its_place() -> None:
-    dynamics = BoxDynamics(0.6, 0.12, guided_share=0.5)
-    tracker = SigmaPiTracker(SigmaPiParameters(dynamics=dynamics), seed=1)
-    follow(tracker, [shown(path(k), k) for k in range(10)], box_at(path(0)))
-    place = np.array([160.0, 120.0])
-    guided = tracker.step(shown(None, 10), Proposal(place, 4.0 * np.eye(2)))
-    centres = guided.particles[:, :2] + guided.particles[:, 2:] / 2.0
-    assert np.mean(np.abs(centres - place).max(axis=1) < 8.0) > 0.3
-
-
 def test_a_black_video_has_nobody_in_it() -> None:
     black = np.zeros((150, 200, 3), np.uint8)
     with warnings.catch_warnings():
@@ -181,35 +170,9 @@ def test_a_black_video_has_nobody_in_it() -> None:
     assert np.isfinite(estimates[-1].box).all() and estimates[-1].weights.sum() == pytest.approx(1.0)
 
 
-def test_frames_of_another_size_and_steps_without_a_start_are_refused() -> None:
-    tracker = SigmaPiTracker(seed=0)
+def test_a_step_without_a_start_is_refused() -> None:
     with pytest.raises(InputError, match="start"):
-        tracker.step(ROOM)
-    tracker.start(ROOM, None)
-    with pytest.raises(InputError, match="200 × 150"):
-        tracker.step(ROOM[:100])
-    with pytest.raises(InputError, match="particles"):
-        SigmaPiParameters(particles=0)
-    with pytest.raises(InputError, match="smell"):
-        SigmaPiParameters(cues=("smell",))
-
-
-def test_somebody_who_comes_into_a_rendered_room_is_found() -> None:
-    sequence = ceiling_sequence(
-        KINDS["person moving 1"], np.random.default_rng(0), frames=50, empty=8, oversampling=1
-    )
-    tracker = SigmaPiTracker(seed=0)
-    good = []
-    for k, frame in enumerate(sequence):
-        estimate = tracker.step(frame.image) if k else tracker.start(frame.image, None)
-        box = None if frame.target is None else frame.target.body_box
-        if box is None:
-            assert not estimate.found
-        else:
-            left, top, width, height = box
-            x, y = estimate.centre
-            good.append(estimate.found and left < x < left + width and top < y < top + height)
-    assert np.mean(good[15:]) > 0.9
+        SigmaPiTracker(seed=0).step(ROOM)
 
 
 def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
@@ -383,7 +346,7 @@ def texture(width: int, height: int, level: float, grain: float, seed: int) -> n
     return np.clip(level + 20.0 * noise / noise.std(), 0, 255)
 
 
-ROOM, STANDS, WALKS = (
+LOBBY, STANDS, WALKS = (
     texture(*LOBBY_SIZE, 120, 6, 0),
     texture(24, 16, 100, 1.5, 1),
     texture(24, 16, 150, 1.5, 2),
@@ -393,7 +356,7 @@ BOX: Box = (40.0, 60.0, 24.0, 16.0)
 
 def lobby(k: int, seed: int = 0) -> np.ndarray:
     """A person who stands from the first frame on, and a person of the same colours who passes closely."""
-    grey = ROOM.copy()
+    grey = LOBBY.copy()
     grey[60:76, 40:64] = STANDS
     left = 4 * k - 30
     lo, hi = max(left, 0), min(left + 24, LOBBY_SIZE[0])
