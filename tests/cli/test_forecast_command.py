@@ -163,15 +163,3 @@ def test_a_tracker_that_is_asked_late_says_what_one_says_that_was_always_asked()
     assert first.track_id.tolist() == second.track_id.tolist() == [1, 2]
     np.testing.assert_allclose(first.position, second.position)
     np.testing.assert_allclose(first.radius_90, second.radius_90)
-
-
-def test_who_is_hidden_is_forecast_from_where_the_person_was_last_seen():
-    tracker = OnlineTracker("position")
-    for k in range(12):
-        people = tracker.update(0.4 * k, [(0.5 * k, 0.0)])
-    before = tracker.forecast(0.8)
-    people = tracker.update(4.8, np.zeros((0, 2)))
-    if people:  # people who are more probably hidden than gone
-        after = tracker.forecast(0.8)
-        assert after.position[0, 0, 0] == pytest.approx(before.position[0, 1, 0], abs=0.05)
-        assert after.radius_50[0, 0] > before.radius_50[0, 0]

@@ -412,24 +412,3 @@ def test_rows_that_were_refused_before_the_first_count_where_a_stream_goes_on(tr
     status, answers, said = track([*rows[2:], b"no JSON\n"], *options)
     assert "after 4 rows (the last is line 5)" in said and len(answers) == 3
     assert json.loads(answers[-1])["line"] == 8
-
-
-def test_well_known_names_last_as_long_as_the_stream(track, tmp_path):
-    def rows(frames):
-        return [
-            json.dumps({"id": 7, "time": 0.1 * k, "frame": k, "x": k, "y": 2}).encode() + b"\n"
-            for k in frames
-        ]
-
-    native = [line.replace(b'"id"', b'"track_id"').replace(b'"time"', b'"t"') for line in rows(range(6))]
-    options = ("--model", "position")
-    _, expected, _ = track(native, *options)
-    status, whole, said = track(rows(range(6)), *options)
-    assert status == 0 and said.startswith("note: read columns 'id' as track_id, 'time' as t")
-    assert [{"id": 7, **json.loads(answer)} for answer in whole] == [json.loads(answer) for answer in whole]
-    back = [answer.replace('"id"', '"track_id"').replace('"time"', '"t"') for answer in whole]
-    assert back == expected
-    options += ("--state", tmp_path / "state")
-    _, first, _ = track(rows(range(3)), *options)
-    _, second, said = track(rows(range(3, 6)), *options)
-    assert first + second == whole and "resuming from" in said

@@ -100,6 +100,15 @@ def test_without_arguments_the_help_is_shown_and_the_status_is_2(here):
     assert done.returncode == 2 and "smooth" in done.stdout
 
 
+def test_a_full_disk_is_one_line(here, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device", "out.csv")
+
+    monkeypatch.setattr("graphtrack.io.read_write.write", full)
+    done = run("simulate", "-o", "out.csv", "--tracks", "1", "--steps", "5")
+    assert (done.returncode, done.stderr.strip()) == (2, "error: out.csv: No space left on device")
+
+
 def test_a_selection_and_an_unused_camera_are_told(here):
     (here / "plane.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
     done = ran("info", "tracks.csv", "--select", "1", "--homography", "plane.txt")

@@ -249,35 +249,6 @@ def test_tracks_of_a_few_frames_have_estimates(preset: str, length: int) -> None
         np.testing.assert_allclose(smooth_track(walk(1), Model("separate")).track.position, walk(1).position)
 
 
-@EVERY_PRESET
-def test_frames_without_any_observation_are_bridged(preset: str) -> None:
-    track, gap = walk(30, seed=2), slice(12, 20)
-    for name in ("position", "body", "head"):
-        track = without(track, name, gap)
-    model = Model(preset)
-    found = smooth_track(track, model).track
-    miss = np.linalg.norm(found.position - found.true_position, axis=1)
-    assert miss[gap].max() < 0.3
-    spread = found.std("x")
-    # Among the inner frames: where the head steers, the ends of the track are less certain than the gap.
-    assert 5 + np.argmax(spread[5:25]) in range(14, 18) and spread[15] > 1.1 * spread[10]
-    for name in ("body", "head"):
-        estimate, spread = getattr(found, name), found.std(name)
-        if estimate is not None:
-            assert np.abs(difference(estimate, getattr(found, f"true_{name}"))).max() < np.radians(40.0)
-            assert spread[15] > spread[8]
-    assert_covariances_are_proper(found, model)
-
-
-def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies() -> None:
-    track = replace(walk(30, seed=2), body=None, head=None)
-    found = smooth_track(track, Model("joint")).track
-    assert np.abs(difference(found.body, found.true_body)).mean() < np.radians(8.0)
-    np.testing.assert_allclose(difference(found.head, found.body), 0.0, atol=0.15)
-    still = replace(track, position=np.zeros((30, 2)))  # the coupling has no hold
-    np.testing.assert_allclose(smooth_track(still, Model("joint")).track.std("body"), UNIFORM_STD, rtol=1e-3)
-
-
 # Likelihoods.
 
 

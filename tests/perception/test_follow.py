@@ -227,6 +227,12 @@ def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTr
         assert not any(blob.proposals for blob in blobs)
 
 
+def test_without_a_box_only_some_trackers_begin(folder: Path) -> None:
+    for name in ("color", "mixed-state"):
+        done = run("follow", folder, "--tracker", name, "-o", folder.parent / "boxes.csv")
+        assert done.returncode == 2 and "no target in the first frame" in done.stderr
+
+
 # -- boxes on the ground -----------------------------------------------------------------------------------
 
 

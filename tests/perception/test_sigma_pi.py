@@ -37,7 +37,7 @@ from perception.trackers.sigma_pi_network import (
     output,
     products,
 )
-from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, predict, states_of
+from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, Proposal, predict, states_of
 
 SIZE = (200, 150)
 TARGET = (32, 36)
@@ -160,6 +160,16 @@ def test_cues_that_are_not_used_have_no_part() -> None:
     assert [name for name in TERM_NAMES if found.cues[f"reliability {name}"] != 0.0] == ["motion"]
 
 
+def test_a_proposal_draws_particles_to_its_place() -> None:
+    dynamics = BoxDynamics(0.6, 0.12, guided_share=0.5)
+    tracker = SigmaPiTracker(SigmaPiParameters(dynamics=dynamics), seed=1)
+    follow(tracker, [shown(path(k), k) for k in range(10)], box_at(path(0)))
+    place = np.array([160.0, 120.0])
+    guided = tracker.step(shown(None, 10), Proposal(place, 4.0 * np.eye(2)))
+    centres = guided.particles[:, :2] + guided.particles[:, 2:] / 2.0
+    assert np.mean(np.abs(centres - place).max(axis=1) < 8.0) > 0.3
+
+
 def test_a_black_video_has_nobody_in_it() -> None:
     black = np.zeros((150, 200, 3), np.uint8)
     with warnings.catch_warnings():
@@ -170,9 +180,12 @@ def test_a_black_video_has_nobody_in_it() -> None:
     assert np.isfinite(estimates[-1].box).all() and estimates[-1].weights.sum() == pytest.approx(1.0)
 
 
-def test_a_step_without_a_start_is_refused() -> None:
+def test_a_step_without_a_start_and_bad_parameters_are_refused() -> None:
     with pytest.raises(InputError, match="start"):
         SigmaPiTracker(seed=0).step(ROOM)
+    for wrong, said in (({"particles": 0}, "particles"), ({"cues": ("smell",)}, "smell")):
+        with pytest.raises(InputError, match=said):
+            SigmaPiParameters(**wrong)
 
 
 def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
