@@ -257,6 +257,7 @@ def test_native_names_and_names_that_were_given_are_left_alone() -> None:
     given = StreamNames({"track_id": "who"})
     for names in (StreamNames(), given):
         assert names.beginning(iter(lines), nobody, print)[1] == names
+    assert given.restored({"track_id": 3, "t": 0.25}) == {"who": 3, "t": 0.25}
 
 
 @pytest.mark.parametrize(

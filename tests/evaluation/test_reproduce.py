@@ -20,16 +20,19 @@ from graphtrack.experiments import Settings, Table, all_experiments
 from graphtrack.experiments.baxter_occlusion import ONLINE, Case, WindowErrors, error_of, trajectories
 from graphtrack.experiments.chen_joint import PAPER, concentration_of
 from graphtrack.experiments.harness import (
+    evenly,
     fit,
     from_the_past,
     one_step_ahead,
     squared_error,
+    thinned,
     with_coupling,
     with_density,
 )
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.smoothing import track_online
+from graphtrack.tracks.track import TrackSet
 
 
 @pytest.mark.parametrize("behaviour", range(7))
@@ -175,6 +178,16 @@ def test_noise_has_the_mean_error_that_was_asked_for(degrees: float) -> None:
     drawn = np.abs(np.random.default_rng(0).vonmises(0.0, kappa, 200_000))
     assert np.degrees(drawn.mean()) == pytest.approx(degrees, rel=0.01)
     assert PAPER["observation"] == (41.7, 30.3)
+
+
+def test_thinning_and_choosing() -> None:
+    track = walk(31)
+    assert len(thinned(track)) == 11
+    np.testing.assert_array_equal(thinned(track).t, track.t[::3])
+    many = TrackSet(tuple(walk(10 + i, track_id=i) for i in range(30)))
+    assert [t.track_id for t in evenly(many, 4)] == [0, 10, 19, 29]
+    assert len(evenly(many, 100)) == 30
+    assert len(evenly(many, 5, least_seconds=100.0)) == 0
 
 
 def test_the_sharpest_turns_stand_beside_the_papers_trajectories() -> None:

@@ -67,6 +67,13 @@ def test_frames_below_0_are_refused(tmp_path: Path) -> None:
         gt.write(people(-2), tmp_path / "tracks.txt")
 
 
+def test_the_command_says_that_frames_are_shifted(tmp_path: Path) -> None:
+    gt.write(people(0), tmp_path / "tracks.csv")
+    done = command.run("convert", tmp_path / "tracks.csv", "-o", tmp_path / "x.txt", program="graphtrack")
+    assert done.returncode == 0 and "note: frames begin at 0" in done.stderr, done.stderr
+    assert min(frames_in(tmp_path / "x.txt")) == 1
+
+
 @pytest.mark.parametrize("first", [0, 1, 60])
 def test_boxes_of_a_recording_come_back(first: int, tmp_path: Path) -> None:
     boxes = [PersonBox(first + k, 4, (10.0 + k, 20.0, 30.0, 80.0)) for k in range(2, 5)]
