@@ -76,11 +76,14 @@ def to_smooth(observations: Observation, noise: float) -> Observation:
         return observations
     inputs = {name: value for name, value in observations.inputs.items() if name != APPEARANCE}
     # `dataclasses.replace` takes several times as long.
-    t, frame, position, std, *angles, _, _ = _VALUES_OF_OBSERVATION(observations)
-    return Observation(t, frame, position, std or noise, *angles, None, inputs)
+    values = list(_VALUES_OF_OBSERVATION(observations))
+    values[_STD], values[_SCORE], values[_INPUTS] = observations.position_std or noise, None, inputs
+    return Observation(*values)
 
 
-_VALUES_OF_OBSERVATION = attrgetter(*Observation.__dataclass_fields__)
+_OBSERVATION = tuple(Observation.__dataclass_fields__)
+_VALUES_OF_OBSERVATION = attrgetter(*_OBSERVATION)
+_STD, _SCORE, _INPUTS = map(_OBSERVATION.index, ("position_std", "score", "inputs"))
 _VALUES_OF_ESTIMATE = attrgetter(*Estimate.__dataclass_fields__)
 
 
@@ -331,7 +334,7 @@ class DetectionTracker:
                 continue
             place = detection_of.get(track_id, UNSEEN)
             sure = math.nan if place == UNSEEN else float(decision.probability[place])
-            found.append(PersonEstimate(*_VALUES_OF_ESTIMATE(person.estimate), track_id, place, sure))
+            found.append(PersonEstimate(*(*_VALUES_OF_ESTIMATE(person.estimate), track_id, place, sure)))
         return found
 
     def _smoother(self) -> OnlineSmoother:
