@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from scipy import stats
 from typer.testing import CliRunner
 from walks import walk, without
@@ -20,10 +21,12 @@ from graphtrack.experiments import Settings, Table, all_experiments
 from graphtrack.experiments.baxter_occlusion import ONLINE, Case, WindowErrors, error_of, trajectories
 from graphtrack.experiments.chen_joint import PAPER, concentration_of
 from graphtrack.experiments.harness import (
+    Panel,
     evenly,
     fit,
     from_the_past,
     one_step_ahead,
+    page,
     squared_error,
     thinned,
     with_coupling,
@@ -223,8 +226,26 @@ def test_a_table_is_rectangular_and_ready_for_json() -> None:
         Table("t", ("a", "b"), ((1,),))
 
 
-def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # without recordings: the corpus alone
+@pytest.mark.parametrize("count", [1, 4])
+def test_titles_and_dots_of_a_page_are_within_their_panels(count: int) -> None:
+    names = [f"a category with a long name {k}" for k in range(6)]
+    rows = [{"name": name, "%": 98.0 if k else 65.0, "of": "x"} for k, name in enumerate(names)]
+    panel = Panel(
+        "A long title of a panel, which says what is shown of which sequences (%)", rows, "name", "%", "of"
+    )
+    figure = page([panel] * count)
+    figure.draw_without_rendering()
+    shown = figure.findobj(lambda one: isinstance(one, Text) and one.get_text().startswith("A long title"))
+    titles = [one.get_window_extent() for one in shown]
+    assert len(titles) == count
+    for k, title in enumerate(titles):
+        assert figure.bbox.x0 <= title.x0 and title.x1 <= figure.bbox.x1
+        assert not any(title.overlaps(other) for other in titles[:k])
+    for axes in figure.axes:
+        assert axes.get_ylim() == pytest.approx((0.0, 1.05 * 98.0))
+
+
+def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     tables = []
     for name in ("first", "again"):
@@ -232,8 +253,8 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         arguments += ["--out", name, "--json", f"{name}/tables.json"]
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 0, result.output
-        assert (tmp_path / name / "baxter-statistics.png").stat().st_size > 10_000
-        tables.append(json.loads((tmp_path / name / "tables.json").read_text(encoding="utf-8")))
+        assert (cwd / name / "baxter-statistics.png").stat().st_size > 10_000
+        tables.append(json.loads((cwd / name / "tables.json").read_text(encoding="utf-8")))
     assert tables[0] == tables[1]
     detail, beside = tables[0]
     assert detail["columns"][0] == "data"
@@ -253,8 +274,7 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         (["reproduce", "chen-joint", "--out", "x", "--data", "nowhere"], "no such folder"),
     ],
 )
-def test_wrong_use(arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_wrong_use(arguments: list[str], said: str, cwd: Path) -> None:
     with pytest.raises(InputError, match=said):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 

@@ -16,8 +16,10 @@ import pytest
 from selection import others_slow
 from walks import out_and_back, turned
 
+import graphtrack as gt
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
+from graphtrack.inference.chain import batch
 from graphtrack.model.observation import observations
 from graphtrack.tracks.track import Track
 
@@ -105,3 +107,24 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
     for one, other in zip(*found, strict=True):
         assert np.abs(difference(other.body - angle, one.body)).max() < SAME
         assert np.sum(difference(one.body[1:], one.body[:-1])) > 0.0  # counter-clockwise
+
+
+def differences(preset: str) -> np.ndarray:
+    """Mean degrees between the last bodies and heads of whole tracks, and of the same online."""
+    people = gt.simulate(preset, n_tracks=16, n_steps=45, fps=10.0, rng=np.random.default_rng(8))
+    whole, online = gt.smooth(people, preset), gt.track_online(people, preset, lag=10.0)
+    found = []
+    for one, other in zip(whole, online, strict=True):
+        found.append([difference(one.body[-1], other.body[-1]), difference(one.head[-1], other.head[-1])])
+    return np.asarray(np.degrees(np.abs(found).mean(axis=0)))
+
+
+@pytest.mark.parametrize("preset", ["separate", "joint"])
+def test_the_last_frame_is_the_same_online(preset: str) -> None:
+    assert differences(preset).max() < 0.01
+
+
+def test_the_last_frame_is_nearly_the_same_online_with_modes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Offline turns between modes and states are taken until nothing changes; online has one."""
+    monkeypatch.setattr(batch, "PASSES", 8)
+    assert differences("full").max() < 0.25

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -198,6 +199,8 @@ def test_counts(service):
     status, text = service.request("GET", "/metrics")
     counted = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
     assert status == 200 and float(counted["graphtrack_rows_total"]) > 50
+    bounds = re.findall(r'graphtrack_latency_seconds_bucket{le="([^"]+)"}', text)
+    assert all(float(a) < float(b) for a, b in pairwise(bounds)) and bounds[-1] == "+Inf"
     below = [float(n) for name, n in counted.items() if name.startswith("graphtrack_latency_seconds_bucket")]
     assert all(a <= b for a, b in pairwise(below)) and below[-1] == float(counted["graphtrack_rows_total"])
     for name in ("waiting", "people", "streams"):
@@ -242,8 +245,7 @@ TOKEN_FILE = ("--token-file", "token")
         (TOKEN_FILE, b"x" * 5000, "error: token: found more than 4096 bytes"),
     ],
 )
-def test_what_cannot_be_served_is_told(options, token, said, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_cannot_be_served_is_told(options, token, said, cwd):
     Path("token").write_bytes(token)
     done = run("serve", *OPTIONS, *options, program="graphtrack")
     assert done.returncode == 2 and said in done.stderr
