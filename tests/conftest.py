@@ -55,3 +55,10 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings at {folder}; set GRAPHTRACK_DATA to your copy")
     return folder
+
+
+@pytest.fixture
+def cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A temporary folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -21,18 +21,16 @@ def test_commands_stand_where_they_are_run():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_COMMANDS)
-def test_the_commands_of_a_page_run(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_commands_of_a_page_run(page, cwd):
     run(blocks(page), {}, slow=True)
 
 
 @pytest.mark.slow
-def test_the_commands_about_a_recording_run(data_dir, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_commands_about_a_recording_run(data_dir, cwd):
     street = data_dir / "towncentre"
-    (tmp_path / RECORDING).symlink_to(street / "frames_001_150" / "img1")
+    (cwd / RECORDING).symlink_to(street / "frames_001_150" / "img1")
     for name in ("frames_001_150/det.txt", "calibration.ci"):
-        shutil.copyfile(street / name, tmp_path / Path(name).name)
+        shutil.copyfile(street / name, cwd / Path(name).name)
     about = [block for block in blocks("docs/perception.md") if is_about_recording(block)]
     assert len(about) >= 4
     run(about, {}, slow=True)

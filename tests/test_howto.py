@@ -27,25 +27,22 @@ def test_there_is_a_page_for_each_task():
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if not page.endswith("own-term.md")])
-def test_a_page_runs(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_page_runs(page, cwd):
     run(blocks(page), {}, slow=False)
 
 
-def test_the_tutorial_ends_with_estimates_in_the_gap_and_a_picture(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_tutorial_ends_with_estimates_in_the_gap_and_a_picture(cwd):
     names = {}
     run(blocks("docs/start.md"), names, slow=False)
     assert len(names["walks"]) == 2 * 110 and [len(person) for person in names["smoothed"]] == [120, 120]
     person = names["smoothed"][1]
     inside, outside = person.std("x")[55], person.std("x")[30]
     assert inside > 1.5 * outside
-    assert (tmp_path / "walks.png").stat().st_size > 10_000
-    assert (tmp_path / "report.html").exists() and (tmp_path / "smoothed.csv").exists()
+    assert (cwd / "walks.png").stat().st_size > 10_000
+    assert (cwd / "report.html").exists() and (cwd / "smoothed.csv").exists()
 
 
-def test_the_term_of_ones_own_has_factors_of_its_density(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_term_of_ones_own_has_factors_of_its_density(cwd):
     names = {}
     run(blocks("docs/how-to/own-term.md"), names, slow=False)
     assert names["solution"].converged and names["solution"].engine == "gtsam"

@@ -13,7 +13,6 @@ from graphtrack.baselines.intentional import (
     PRINTED,
     IntentionalParameters,
     intentional_filter,
-    intentional_states,
     intentional_tracker,
     intentional_transition,
     step_tracker,
@@ -213,27 +212,6 @@ def test_a_step_is_the_matrix_exponential_of_the_drift(rate: float, dt: float) -
     np.testing.assert_allclose(found.velocity_shift[0], steering[1] * unit(2.1), atol=1e-7)
 
 
-def test_two_half_steps_are_one_step_while_the_head_is_in_line() -> None:
-    track = replace(walk(5, dt=0.8), head=np.zeros(5), body=None)
-    position = np.full((5, 2), np.nan)
-    position[0], position[1] = (0.0, 0.0), (1.0, 0.0)
-    track = replace(track, position=position)
-    fine = replace(
-        track,
-        frame=np.arange(9),
-        t=np.linspace(track.t[0], track.t[-1], 9),
-        position=np.repeat(position, 2, axis=0)[:9],
-        head=np.zeros(9),
-        true_position=None,
-        true_body=None,
-        true_head=None,
-    )
-    fine = without(fine, "position", [1, 3])
-    coarse_states, fine_states = intentional_states(track, PARAMETERS), intentional_states(fine, PARAMETERS)
-    np.testing.assert_allclose(fine_states.mean[0, ::2], coarse_states.mean[0], atol=1e-9)
-    np.testing.assert_allclose(fine_states.spread[0, ::2], coarse_states.spread[0], rtol=1e-9)
-
-
 @pytest.mark.parametrize("missing", ["none", "positions", "heads", "both"])
 def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> None:
     track = walk(30, uneven=True)
@@ -245,12 +223,6 @@ def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> No
     np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
     np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-9)
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
-
-
-def test_a_head_without_any_position_is_refused() -> None:
-    track = replace(walk(6, track_id=42), position=np.full((6, 2), np.nan))
-    with pytest.raises(SolveError, match=r"track 42: .*no position"):
-        intentional_tracker(track)
 
 
 @pytest.mark.parametrize("rate", [-1.0, math.nan])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from walks import walk, without
 
+from graphtrack.baselines.intentional import intentional_tracker
 from graphtrack.baselines.kalman import (
     filter_states,
     kalman_filter,
@@ -18,6 +19,7 @@ from graphtrack.baselines.kalman import (
     rauch_tung_striebel,
     smooth_states,
 )
+from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
 from graphtrack.errors import SolveError
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
 from graphtrack.tracks.track import Track
@@ -151,7 +153,10 @@ def test_estimates_hold_no_observations_any_more() -> None:
         np.testing.assert_array_equal(estimate.true_position, track.true_position)
 
 
-@pytest.mark.parametrize("estimator", [kalman_filter, rauch_tung_striebel])
+@pytest.mark.parametrize(
+    "estimator",
+    [kalman_filter, rauch_tung_striebel, intentional_tracker, particle_filter, particle_smoother],
+)
 def test_a_track_without_a_position_names_itself(estimator: Callable[[Track], Track]) -> None:
     track = replace(walk(5, track_id=42), position=np.full((5, 2), np.nan))
     with pytest.raises(SolveError, match=r"track 42: .*no position") as caught:

@@ -42,7 +42,7 @@ from graphtrack.baselines.particle_model import (
     prepare,
     sample_von_mises,
 )
-from graphtrack.errors import InputError, InputWarning, SolveError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import (
     class_centres,
     class_kappa,
@@ -513,13 +513,6 @@ def test_pixels_alone_locate_a_person() -> None:
     )
     found = particle_filter(track, "joint", camera=view, options=options(2000)).track
     assert np.linalg.norm(found.position - inside, axis=1).mean() < 0.1
-
-
-def test_no_position_at_all() -> None:
-    track = replace(walk(6, track_id=42), position=np.full((6, 2), np.nan))
-    for estimator in (particle_filter, particle_smoother):
-        with pytest.raises(SolveError, match=r"track 42: .*no position"):
-            estimator(track, "joint")
 
 
 class _Other(Term):

@@ -39,10 +39,6 @@ def aside(n: int = 60, *, seed: int = 0, offset: float = 1.4) -> Track:
     return Track(1, np.arange(n), t, noisy, true_position=position, **seen, **angles)
 
 
-def body_error(estimate: Track, track: Track) -> float:
-    return float(np.degrees(np.abs(difference(estimate.body, track.true_body))[20:]).mean())
-
-
 # -- tables ------------------------------------------------------------------------------------------------
 
 
@@ -166,23 +162,6 @@ def test_the_posterior_of_modes_is_that_of_the_exact_forward_filter() -> None:
     assert exact_p.max() > 0.7 and exact_p.min() < 0.1
     np.testing.assert_allclose(means[:, 0], exact_p, atol=0.03)
     np.testing.assert_allclose(difference(means[:, 1], exact_offset), 0.0, atol=0.06)
-
-
-def test_who_goes_sideways_is_followed() -> None:
-    errors = {"joint": [], "full": []}
-    # A thousand particles need modes that change: an offset that none was drawn for is not found.
-    gait = replace(default_parameters("full").gait, body_switching=0.05, body_drift=0.003)
-    full = Model("full", replace(default_parameters("full"), gait=gait))
-    for seed in range(3):
-        track = aside(seed=seed)
-        for preset, found in errors.items():
-            estimate = particle_filter(track, full if preset == "full" else preset, seed=seed).track
-            found.append(body_error(estimate, track))
-            if preset == "full":
-                assert estimate.aligned_p[30:].max() < 0.2
-                assert np.abs(difference(estimate.gait_offset[30:], 1.4)).max() < 0.5
-    assert np.mean(errors["full"]) < 12.0
-    assert np.mean(errors["full"]) < 0.7 * np.mean(errors["joint"])
 
 
 def test_the_head_steers_as_far_as_it_points_where_the_motion_goes() -> None:

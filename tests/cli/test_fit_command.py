@@ -10,6 +10,9 @@ from pathlib import Path
 import command
 import numpy as np
 import pytest
+from command import Done
+from command import run as run_command
+from crossing_people import street
 
 import graphtrack as gt
 from graphtrack.learning.fit import _split as split_tracks
@@ -19,10 +22,9 @@ run = partial(command.run, program="graphtrack")
 
 
 @pytest.fixture
-def people(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def people(cwd: Path) -> Path:
     gt.write(gt.simulate("position", n_tracks=5, n_steps=40, rng=np.random.default_rng(0)), "people.csv")
-    return tmp_path
+    return cwd
 
 
 def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
@@ -55,18 +57,6 @@ def test_what_cannot_be_done_is_said_in_one_line(people: Path, wrong: list[str])
     assert not (people / "learned.toml").exists()
 
 
-def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(people: Path) -> None:
-    # The file declares its noise, so that its positions do not determine the default noise.
-    options = ["--model", "position", "--json", "learned.json"]
-    done = run("fit", "people.csv", "-o", "learned.toml", *options)
-    assert done.returncode == 0 and "not identified" in done.stdout
-    told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
-    notes = {one["name"]: one for one in told["learned"]}
-    kept = notes["likelihood.position_std"]
-    assert "kept" in kept["note"] and kept["value"] == kept["start"]
-    assert not notes["motion.acceleration_density"]["note"]
-
-
 def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:
     # Training people hardly move, held-out people do: any learned value is wrong for them.
     calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
@@ -81,3 +71,64 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(peopl
     worse = "keep the initial model (position)"
     assert done.returncode == 0 and worse in " ".join(done.stderr.split())
     assert worse in (people / "learned.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def here(cwd: Path) -> Path:
+    """A folder with detections, and with the same detections labelled; false ones have −1."""
+    detections, whose = street(np.random.default_rng(0), people=8, frames=50, miss=0.15, false=0.5)
+    lines = zip(detections.frame, detections.t, *detections.position.T, whose, strict=True)
+    rows = [f"{frame},{t:.9g},{x:.9g},{y:.9g},{who}" for frame, t, x, y, who in lines]
+    Path("labelled.csv").write_text("\n".join(["frame,t,x,y,track_id", *rows]) + "\n")
+    Path("seen.csv").write_text("\n".join(row.rpartition(",")[0] for row in ["frame,t,x,y,", *rows]) + "\n")
+    return cwd
+
+
+def fit(*arguments: str) -> Done:
+    return run_command("fit", *arguments, program="graphtrack")
+
+
+@pytest.mark.parametrize(("source", "how"), [("seen.csv", "found"), ("labelled.csv", "given")])
+def test_a_scene_is_learned_told_written_and_used(here: Path, source: str, how: str) -> None:
+    options = ["--scene"] if how == "given" else []
+    done = fit(source, "-o", "place.toml", *options, "--json", "place.json", "--report", "place.html")
+    assert done.returncode == 0
+    assert "scene.detection_probability" in done.stdout and "held out" in done.stdout
+    assert "no head observed: not learned" in done.stdout
+    assert f"people {how}" in done.stderr and "wrote place.html" in done.stderr
+    model = gt.Model.load("place.toml")
+    assert model.preset == "full"
+    assert model.to_dict() == json.loads((here / "place.json").read_text("utf-8"))["model"]
+    assert 0.7 < model.scene["detection_probability"] < 0.95
+    assert "Gain" in (here / "place.html").read_text("utf-8")
+    found = gt.associate("seen.csv", model="place.toml")
+    std = np.concatenate([track.position_std for track in found])
+    assert set(std[np.isfinite(std)]) == {model.scene["position_std"]}
+    used = run_command("info", "seen.csv", "--model", "place.toml", program="graphtrack")
+    assert f"{len(found)} people" in used.stderr
+
+
+def test_identities_are_forgotten_on_request(here: Path) -> None:
+    assert fit("seen.csv", "-o", "one.toml").returncode == 0
+    assert fit("labelled.csv", "-o", "other.toml", "--associate", "always").returncode == 0
+    assert gt.Model.load("one.toml").scene == gt.Model.load("other.toml").scene
+
+
+WRONG = {
+    "seen.csv --criterion truth": "--criterion",
+    "seen.csv --select 1": "--select",
+    "seen.csv seen.csv": "each file once",
+    "seen.csv seen.csv --scene": "one recording at a time",
+    "seen.csv --associate never": "rows without identities",
+    "labelled.csv --scene --associate repair": "--associate repair",
+    "seen.csv --model bad.toml": "bad.toml: found key scene.gap",
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_cannot_be_learned_is_one_error(here: Path, wrong: str) -> None:
+    Path("bad.toml").write_text("[scene]\ngap = 1.0\n")
+    done = fit(*wrong.split(), "-o", "place.toml")
+    assert done.returncode == 2
+    assert WRONG[wrong] in " ".join(done.stderr.split())
+    assert not (here / "place.toml").exists()

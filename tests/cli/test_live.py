@@ -217,8 +217,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
     ],
 )
-def test_a_state_of_other_options_is_refused_by_name(track, state, tmp_path, monkeypatch, changed, told):
-    monkeypatch.chdir(tmp_path)
+def test_a_state_of_other_options_is_refused_by_name(track, state, cwd, changed, told):
     Path("plane.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
     before = state.read_bytes()
     options = [word for pair in (SAME | changed).items() for word in pair]
@@ -302,21 +301,6 @@ def test_a_state_where_no_file_can_be(track, tmp_path):
 
 
 # -- ends ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("lag", "engine", "told"),
-    [
-        ("soon", "isam2", "found --lag soon, expected a number of seconds, or none"),
-        ("0", "isam2", "found lag = 0.0, expected a positive number of seconds"),
-        ("none", "chain", "found no lag with the engine chain"),
-        ("none", "fixed-lag", "found no lag with the engine fixed-lag"),
-    ],
-)
-def test_a_lag_that_an_engine_cannot_keep_is_refused(track, lag, engine, told):
-    status, answers, said = track(scene(1), "--engine", engine, "--model", "joint", "--lag", lag)
-    assert (status, answers, said.count("\n")) == (2, [], 1)
-    assert said.startswith("error: ") and told in said
 
 
 def test_closed_streams_are_one_error(track, monkeypatch):
@@ -428,24 +412,3 @@ def test_rows_that_were_refused_before_the_first_count_where_a_stream_goes_on(tr
     status, answers, said = track([*rows[2:], b"no JSON\n"], *options)
     assert "after 4 rows (the last is line 5)" in said and len(answers) == 3
     assert json.loads(answers[-1])["line"] == 8
-
-
-def test_well_known_names_last_as_long_as_the_stream(track, tmp_path):
-    def rows(frames):
-        return [
-            json.dumps({"id": 7, "time": 0.1 * k, "frame": k, "x": k, "y": 2}).encode() + b"\n"
-            for k in frames
-        ]
-
-    native = [line.replace(b'"id"', b'"track_id"').replace(b'"time"', b'"t"') for line in rows(range(6))]
-    options = ("--model", "position")
-    _, expected, _ = track(native, *options)
-    status, whole, said = track(rows(range(6)), *options)
-    assert status == 0 and said.startswith("note: read columns 'id' as track_id, 'time' as t")
-    assert [{"id": 7, **json.loads(answer)} for answer in whole] == [json.loads(answer) for answer in whole]
-    back = [answer.replace('"id"', '"track_id"').replace('"time"', '"t"') for answer in whole]
-    assert back == expected
-    options += ("--state", tmp_path / "state")
-    _, first, _ = track(rows(range(3)), *options)
-    _, second, said = track(rows(range(3, 6)), *options)
-    assert first + second == whole and "resuming from" in said

@@ -65,8 +65,7 @@ COINCIDING = {
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def here(cwd: Path) -> Path:
     for folder in ("full", "empty", "frames", "data/salsa", "parts/a=1"):
         Path(folder).mkdir(parents=True)
     for name in ("a.csv", "b.csv"):
@@ -88,7 +87,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     }
     for link, target in links.items():
         Path(link).symlink_to(target)
-    return tmp_path
+    return cwd
 
 
 def run(arguments: str) -> command.Done:

@@ -2,13 +2,20 @@
 
 import json
 
+import numpy as np
 import pytest
+from crossing_people import street
+from hypothesis import given
+from hypothesis import strategies as st
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
-from graphtrack.streaming.answers import TrackAnswers
-from graphtrack.streaming.protocol import LONGEST_LINE
+from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.answers import Scenes, TrackAnswers
+from graphtrack.streaming.protocol import LONGEST_LINE, StreamNames, with_first_row
 from graphtrack.streaming.session import lines_of
+from graphtrack.tracks.scene import SceneParameters
 
 
 def smoother(**options):
@@ -163,3 +170,204 @@ def test_angles_are_the_same_in_any_turn():
         return answers(TrackAnswers(smoother, 10.0), rows)[-1]["head_deg"]
 
     assert last(3600.0) == pytest.approx(last(0.0), abs=1e-9)
+
+
+DAY = 86_400 * 10**9
+
+
+def nobody(number: int, line: bytes) -> None:
+    """Refuse a line without a word."""
+
+
+def test_what_is_told_within_an_answer_has_the_same_names_and_unit() -> None:
+    names = StreamNames({"t": "stamp", "x": "pos_x"}, unit=10**6)
+    answer = {
+        "end": 1.7,
+        "revised": [{"t": 0.9, "before": -1, "after": 1}],
+        "forecast": [{"ahead": 0.4, "x": 2.0}],
+    }
+    assert names.restored(answer) == {
+        "end": 1700,
+        "revised": [{"stamp": 900, "before": -1, "after": 1}],
+        "forecast": [{"ahead": 0.4, "pos_x": 2.0}],
+    }
+
+
+@pytest.mark.parametrize("unit", [1, 10**3, 10**6])
+@given(
+    first=st.integers(0, 4 * 10**18),
+    later=st.lists(st.integers(0, 90 * DAY), min_size=2, max_size=4),
+)
+def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: list[int]) -> None:
+    """Also times since 1970, which a double cannot hold in nanoseconds."""
+    stamps = [(first + more) // unit for more in (0, *later)]
+    lines = [(0, b"no row"), *((k, b'{"t": %d}' % stamp) for k, stamp in enumerate(stamps, start=1))]
+    rest, names = StreamNames(unit=unit).beginning(iter(lines), nobody, print)
+    seconds = [json.loads(line)["t"] for number, line in names.native_lines(rest) if number]
+    assert 0.0 <= seconds[0] < 86_400.0
+    for one, stamp in zip(seconds, stamps, strict=True):
+        assert names.restored({"t": one}) == {"t": stamp}
+        assert one - seconds[0] == pytest.approx((stamp - stamps[0]) * unit / 1e9, rel=0.0, abs=2e-9)
+
+
+def test_fractions_of_a_unit_come_back() -> None:
+    """A double resolves milliseconds since 1970 to three digits after the point."""
+    stamps = [1_763_892_000_123.25 + 0.5 * k for k in range(5)]
+    lines = [(k, json.dumps({"t": stamp}).encode()) for k, stamp in enumerate(stamps)]
+    rest, names = StreamNames(unit=10**6).beginning(iter(lines), nobody, print)
+    seconds = [json.loads(line)["t"] for _, line in names.native_lines(rest)]
+    assert [names.restored({"t": one})["t"] for one in seconds] == stamps
+
+
+def test_what_is_no_time_is_left_to_those_who_read_rows() -> None:
+    for said in ("null", "true", '"now"', "[1]", "1" + "0" * 350):
+        line = b'{"t": %s}' % said.encode()
+        rest, names = StreamNames(unit=10**3).beginning(iter([(1, line)]), nobody, print)
+        assert [json.loads(line) for _, line in names.native_lines(rest)] == [json.loads(line)]
+
+
+def test_rows_that_cannot_be_read_are_refused_before_more_are_waited_for() -> None:
+    refused: list[int] = []
+
+    def lines():  # type: ignore[no-untyped-def]
+        for number, line in enumerate((b"no JSON\n", b"\xff\n", b"[]\n"), start=1):
+            yield number, line
+            assert refused == list(range(1, number + 1))
+        yield 4, b'{"frame": 0}\n'
+        yield 5, b'{"frame": 1}\n'
+
+    rest, cells = with_first_row(lines(), lambda number, line: refused.append(number))
+    assert cells == {"frame": 0}
+    assert [number for number, _ in rest] == [4, 5]
+
+
+def test_well_known_names_of_columns_are_read_as_in_a_file() -> None:
+    notes: list[str] = []
+    lines = [(1, b'{"ped_id": 3, "time_ms": 1500, "pos_x": 1.0, "pos_y": 2.0}')]
+    rest, names = StreamNames().beginning(iter(lines), nobody, notes.append)
+    ((_, line),) = names.native_lines(rest)
+    assert json.loads(line) == {"track_id": 3, "t": 1.5, "x": 1.0, "y": 2.0}
+    assert names.restored(json.loads(line)) == json.loads(lines[0][1])
+    assert notes == ["read columns 'ped_id' as track_id, 'time_ms' as t, 'pos_x' as x, 'pos_y' as y"]
+    assert names == names.going_on(names.settings()) == StreamNames().going_on(names.settings())
+
+
+def test_native_names_and_names_that_were_given_are_left_alone() -> None:
+    lines = [(1, b'{"track_id": 3, "id": 4, "t": 0.0, "x": 1.0, "y": 2.0}')]
+    given = StreamNames({"track_id": "who"})
+    for names in (StreamNames(), given):
+        assert names.beginning(iter(lines), nobody, print)[1] == names
+    assert given.restored({"track_id": 3, "t": 0.25}) == {"who": 3, "t": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ('{"id": 3, "ped_id": 3, "t": 0, "x": 1, "y": 2}', "columns 'id' and 'ped_id'"),
+        ('{"id": 3, "t": 0, "pos_x_cm": 1, "pos_y_cm": 2}', "column pos_x_cm .*metres"),
+    ],
+)
+def test_names_that_may_mean_two_things_or_other_units_are_one_error(row: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        StreamNames().beginning(iter([(1, row.encode())]), nobody, print)
+
+
+SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
+
+
+def rows_of(seed: int, frames: int = 20, **more: object) -> list[dict[str, object]]:
+    detections, _ = street(np.random.default_rng(seed), people=5, frames=frames)
+    places = detections.position.tolist()
+    return [
+        {"frame": int(f), "t": round(0.4 * f, 6), "x": x, "y": y, **more}
+        for f, (x, y) in zip(detections.frame.tolist(), places, strict=True)
+    ]
+
+
+def descriptors_of_people(k: int) -> dict[str, float]:
+    """Some descriptor and score of detection k."""
+    shown = np.random.default_rng(k).random(4).tolist()
+    return {"score": shown[3]} | {f"appearance_{i}": value for i, value in enumerate(shown[:3])}
+
+
+def scenes() -> Scenes:
+    return Scenes(lambda: OnlineTracker("position", scene=SCENE), None)
+
+
+def scene_answers(rows: list[dict[str, object]], of: Scenes | None = None) -> list[dict[str, object]]:
+    of = scenes() if of is None else of
+    lines = [json.dumps(row).encode() for row in rows]
+    found = [one for number, line in enumerate(lines, 1) for one in of.answers(number, line)]
+    return found + of.finish()
+
+
+def test_each_frame_ends_with_its_people_and_what_was_taken_back() -> None:
+    rows = rows_of(0)
+    found = scene_answers(rows)
+    ends = [row for row in found if "end" in row]
+    assert [row["end"] for row in ends] == sorted({row["t"] for row in rows})
+    assert sum(row["detections"] for row in ends) == len(rows)
+    said = [row for row in found if "track_id" in row]
+    assert sum(row["people"] for row in ends) == len(said)
+    frames = {row["frame"] for row in rows}
+    assert {row["frame"] for row in said} <= frames
+    for row in said:
+        assert row["observed"] in (0.0, 1.0)
+        assert (row["identity_p"] is None) == (row["observed"] == 0.0)
+    taken_back = [one for row in ends for one in row.get("revised", [])]
+    assert taken_back
+    assert {"t", "frame", "detection", "before", "after"} == taken_back[0].keys()
+
+
+def test_an_end_tells_at_once_and_one_of_no_detections_is_a_frame_too() -> None:
+    of = scenes()
+    row = json.dumps({"t": 0.0, "x": 0.0, "y": 0.0}).encode()
+    assert of.answers(1, row) == []
+    *people, told = of.answers(2, b'{"end": 0.0}')
+    assert told == {"end": 0.0, "people": len(people), "detections": 1}
+    assert of.answers(3, b'{"end": 0.4}')[-1]["detections"] == 0
+    (wrong,) = of.answers(4, b'{"end": 0.2}')
+    assert "after 0.4" in wrong["error"]
+
+
+def test_streams_do_not_know_of_each_other() -> None:
+    one, other = rows_of(1, stream="north"), rows_of(2, stream=7)
+    together = [row for pair in zip(one, other, strict=False) for row in pair]
+    found = scene_answers(together)
+    for name, rows in (("north", one[: len(other)]), (7, other[: len(one)])):
+        alone = scene_answers(rows)
+        assert [row for row in found if row["stream"] == name] == alone
+    assert all("stream" not in row for row in scene_answers([{**row, "stream": None} for row in one]))
+
+
+@pytest.fixture(scope="module")
+def in_two_parts():
+    """Rows, those that follow, and the answers to all of them."""
+    rows = [row | descriptors_of_people(k) for k, row in enumerate(rows_of(3, frames=11))]
+    later = [{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]
+    return rows, later, scene_answers([*rows, *later])
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ({"t": 4.0, "x": 1.0}, "all of x … y"),
+        ({"t": 4.0}, "a detection without a position"),
+        ({"x": 1.0, "y": 1.0}, "neither t nor frame"),
+        ({"t": 3.0, "x": 1.0, "y": 1.0}, "a time from 4 on"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "track_id": 3}, "--associate always"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "stream": [1]}, "stream = "),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "appearance_0": 1.0}, "a descriptor of 1 numbers"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "score": -1.0}, "score"),
+        ({"end": "now"}, "the time of the frame that ends"),
+    ],
+)
+def test_what_cannot_be_used_is_told_and_changes_nothing(
+    row: dict[str, object], told: str, in_two_parts
+) -> None:
+    rows, later, undisturbed = in_two_parts
+    found = scene_answers([*rows, row, *later])
+    (wrong,) = [one for one in found if "error" in one]
+    assert told in wrong["error"]
+    assert wrong["line"] == len(rows) + 1
+    assert [one for one in found if "error" not in one] == undisturbed

@@ -136,10 +136,7 @@ def test_an_answer_becomes_a_track_in_radians() -> None:
     ("options", "said"),
     [(("--save", "run.txt"), "the ending .rrd"), (("--groups", "find"), "--groups with -")],
 )
-def test_a_view_that_makes_no_sense_is_refused(
-    options: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_view_that_makes_no_sense_is_refused(options: tuple[str, ...], said: str, cwd: Path) -> None:
     done = run("view", "-", *options, program="graphtrack")
     assert done.returncode == 2 and said in done.stderr and not done.stdout
-    assert not list(tmp_path.iterdir())
+    assert not list(cwd.iterdir())

@@ -114,13 +114,6 @@ def test_the_service_keeps_people_inside_the_area_of_its_scene(area: Path) -> No
     assert share_outside(answers) <= 0.001
 
 
-@pytest.mark.slow
-def test_the_compiled_engine_keeps_streams_inside(track: Any, area: Path) -> None:
-    for model in ("position", "full"):
-        _, walled = track(corridor_rows(10, 8), "--engine", "chain", "--model", model, "--walkable", area)
-        assert share_outside(walled) <= 0.001
-
-
 def test_an_area_travels_to_other_processes() -> None:
     area = pickle.loads(pickle.dumps(WalkableArea(CORRIDOR)))
     position = np.random.default_rng(0).uniform(-1.0, 13.0, (50, 2))

@@ -100,10 +100,9 @@ def graphtrack(line: str) -> Done:
 
 
 def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cwd: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
+    (cwd / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
 
     def track(given: list[dict[str, Any]], options: str) -> Done:
         lines = "".join(json.dumps(row) + "\n" for row in given).encode()
@@ -124,9 +123,8 @@ def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
 
 
 def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cwd: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(1)
     given = [
         {"track_id": k, "frame": f, "t": 0.5 * f, "x": np.cos(2.1 * k) + x, "y": np.sin(2.1 * k) + y}
@@ -144,7 +142,7 @@ def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
     whole = track(given, "")
     assert track(given[:17], "--state state") + track(given[17:], "--state state") == whole
     plain = "".join(json.dumps(row) + "\n" for row in given)
-    (tmp_path / "people.ndjson").write_text(plain)
+    (cwd / "people.ndjson").write_text(plain)
     assert graphtrack("track people.ndjson --model social -o tracked.csv").returncode == 0
     told = [json.loads(line) for line in whole.splitlines()]
     for estimate in gt.read("tracked.csv"):
@@ -164,11 +162,8 @@ def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
         ("track - --groups --forecast 86400", "60 at most"),
     ],
 )
-def test_what_cannot_be_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "places.csv").write_text("name,x,y,radius\na,0,0,\n")
-    (tmp_path / "tracks.csv").write_text("track_id,frame,t,x,y\n1,0,0,0,0\n")
+def test_what_cannot_be_is_told(cwd: Path, line: str, message: str) -> None:
+    (cwd / "places.csv").write_text("name,x,y,radius\na,0,0,\n")
+    (cwd / "tracks.csv").write_text("track_id,frame,t,x,y\n1,0,0,0,0\n")
     done = graphtrack(line)
     assert done.returncode == 2 and message in done.stderr, done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 from scipy import stats
 
 import graphtrack as gt
@@ -210,8 +210,7 @@ def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(tmp_p
     for trust in (None, "check", "declared", "learn"):
         output = tmp_path / f"{trust}.csv"
         given = [] if trust is None else ["--trust", trust]
-        done = run("smooth", overconfident, "-o", output, "--model", "position", *given, program="graphtrack")
-        assert done.returncode == 0
+        done = ran("smooth", overconfident, "-o", output, "--model", "position", *given, program="graphtrack")
         said = [line for line in done.stderr.splitlines() if "position: the noise is" in line]
         assert len(said) == (trust != "declared")
         assert all(("corrected" in line) == (trust == "learn") and "pos_std" in line for line in said)

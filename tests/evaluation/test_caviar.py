@@ -146,14 +146,13 @@ def test_every_method_predicts_the_same_frames() -> None:
         assert found[f"{method}{ISAM2}"] != found[method]
 
 
-def test_without_recordings_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_without_recordings_it_says_so(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     result = CliRunner().invoke(app, ["reproduce", "baxter-caviar", "--out", "found"])
     assert result.exit_code == 0, result.output
     said = " ".join(result.output.split())
     assert "recordings are missing" in said and "--data" in said and "proves nothing" not in said
-    assert "Paper / ours" not in said and not list((tmp_path / "found").iterdir())
+    assert "Paper / ours" not in said and not list((cwd / "found").iterdir())
     experiment = EXPERIMENTS["baxter-caviar"]
-    found = experiment.run(Settings(data=tmp_path), lambda count: None)
-    assert found.tables == () and found.figure is None and str(tmp_path / "caviar") in found.notes[0]
+    found = experiment.run(Settings(data=cwd), lambda count: None)
+    assert found.tables == () and found.figure is None and str(cwd / "caviar") in found.notes[0]

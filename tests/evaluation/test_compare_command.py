@@ -28,19 +28,18 @@ def rows(track, seen, n=12, jump=None, head=True):
 
 
 @pytest.fixture
-def compare(tmp_path, monkeypatch, capsys):
+def compare(cwd, monkeypatch, capsys):
     """From a file's text and options to the exit status, the messages, and the JSON if there is one."""
-    monkeypatch.chdir(tmp_path)
 
     def run(text, methods=ALL, *options):
-        (tmp_path / "tracks.csv").write_text(text)
+        (cwd / "tracks.csv").write_text(text)
         arguments = ["compare", "tracks.csv", "--methods", methods, "--json", "found.json", *options]
         monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
         with pytest.raises(SystemExit) as ended:
             main()
         output = capsys.readouterr()
         assert "Traceback" not in output.err + output.out
-        found = tmp_path / "found.json"
+        found = cwd / "found.json"
         return ended.value.code, output.err, json.loads(found.read_text()) if found.is_file() else None
 
     return run

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 
 import graphtrack as gt
 from graphtrack.errors import InputError, InputWarning
@@ -78,8 +78,7 @@ def test_methods_are_scored_on_the_same_frames(scene: Party, labelled: Path) -> 
 def test_the_command_reports_every_method(scene: Party, labelled: Path, tmp_path: Path) -> None:
     gt.write(scene.tracks, tmp_path / "party.csv")
     options = ("--groups", labelled, "--json", tmp_path / "found.json")
-    done = run("compare", tmp_path / "party.csv", *options, program="graphtrack")
-    assert done.returncode == 0, done.stderr
+    done = ran("compare", tmp_path / "party.csv", *options, program="graphtrack")
     found = json.loads((tmp_path / "found.json").read_text())["methods"]
     assert [one["method"] for one in found] == list(registry)
     expected = compare_groups(gt.read(tmp_path / "party.csv"), read_groups(labelled)).to_dict()["methods"]

@@ -2,12 +2,41 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from graphtrack.experiments import Settings, baxter_weight, unseen_people
+from graphtrack.experiments import Settings, baxter_weight, gaits, unseen_people
+from graphtrack.experiments.baxter_simulated import RIVAL, Gain, paired
+from graphtrack.experiments.chen_classes import (
+    OPTIONS,
+    camera_before,
+    classified,
+    image_scores,
+    in_image,
+    turned_to_world,
+)
+from graphtrack.experiments.chen_joint import (
+    ANGLES,
+    FITTED,
+    PAIRS,
+    Scores,
+    errors_of,
+    fitted_models,
+    pair_rows,
+    parameter_table,
+)
+from graphtrack.experiments.harness import ISAM2
+from graphtrack.geometry.angles import class_centres, difference
+from graphtrack.inference import smooth_track
+from graphtrack.model import Model
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.simulation.crowd import strollers
+from graphtrack.simulation.degrade import add_class_likelihoods, add_noise
+from graphtrack.simulation.sampling import simulate
+from graphtrack.tracks.track import Track, TrackSet
 
 SETTINGS = Settings(quick=True)
 
@@ -56,3 +85,157 @@ def test_unseen_people_fits_without_each_source(monkeypatch: pytest.MonkeyPatch)
         assert row["least"] <= row["median"] <= row["greatest"]
         assert 0.2 * row["default"] < row["least"] and row["greatest"] < 5.0 * row["default"]
     assert len(done) >= len(sources) * 2
+
+
+def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = simulate("joint", n_tracks=4, n_steps=15, rng=np.random.default_rng(0))
+    some = {gaits.ORDINARY: drawn, gaits.SIDEWAYS: drawn.with_tracks(drawn.tracks[:2])}
+    monkeypatch.setattr(gaits, "people", lambda settings: some)
+    monkeypatch.setattr(gaits, "DRAWS", 2)
+    steps: list[int] = []
+    expected: list[int] = []
+    found = gaits.EXPERIMENT.run(Settings(), steps.append, expected.append)
+    assert [sum(steps)] == expected
+    errors, differences, rivals = (table.records() for table in found.tables)
+    assert len(errors) == 2 * len(gaits.ESTIMATORS) * len(gaits.PRESETS)
+    rows = {(row["people"], row[""], row["model"]): row for row in errors}
+    for (who, way, preset), row in rows.items():
+        count = 2 if who == gaits.SIDEWAYS or way != "offline" else 4
+        assert (row["clips"], row["draws"]) == (count, 1 if way.endswith("isam2") else 2)
+        assert 0.0 < row["body (°)"] < 90.0 and 0.0 < row["position (m)"] < 0.5, preset
+    for row in differences:
+        full, other = (rows[row["people"], row[""], model] for model in ("full", row["full less"]))
+        assert row["head (°)"] == pytest.approx(full["head (°)"] - other["head (°)"])
+    for row in rivals:
+        graph, particles = (rows[row["people"], way, row["model"]] for way in (gaits.CHAIN, gaits.PARTICLES))
+        assert row["body (°)"] == pytest.approx(graph["body (°)"] - particles["body (°)"])
+
+
+def test_a_clip_has_the_same_noise_whoever_else_is_there() -> None:
+    drawn = simulate("joint", n_tracks=3, n_steps=5, rng=np.random.default_rng(0))
+    alone, all_of_them = (
+        gaits._noisy(tracks, Settings(), 1) for tracks in (drawn.with_tracks(drawn.tracks[2:]), drawn)
+    )
+    np.testing.assert_array_equal(alone.tracks[0].position, all_of_them.tracks[2].position)
+    assert not np.array_equal(
+        gaits._noisy(drawn, Settings(), 0).tracks[0].position, all_of_them.tracks[0].position
+    )
+
+
+def test_without_the_recording_a_line_says_so(tmp_path: Path) -> None:
+    found = gaits.EXPERIMENT.run(Settings(data=tmp_path))
+    assert not found.tables and "--data" in found.notes[0]
+    assert gaits.people(Settings()) == {}
+
+
+@pytest.fixture(scope="module")
+def tracks() -> TrackSet:
+    drawn = simulate("joint", n_tracks=2, n_steps=30, rng=np.random.default_rng(0))
+    return add_noise(drawn, position_std=0.05, rng=np.random.default_rng(1))
+
+
+def test_the_camera_sees_all_of_them(tracks: TrackSet) -> None:
+    camera = camera_before(tracks)
+    for track in tracks:
+        seen = camera.ground_to_image(track.position)
+        assert np.isfinite(seen).all() and not camera.is_mirrored
+        np.testing.assert_allclose(camera.image_to_ground(seen), track.position, atol=1e-6)
+
+
+def test_sure_answers_in_the_image_are_turned_to_the_true_class_of_the_world(tracks: TrackSet) -> None:
+    camera = camera_before(tracks)
+    seen = tracks.map(lambda track: in_image(track, camera))
+    sure = add_class_likelihoods(seen, body=np.eye(8), head=np.eye(12), rng=np.random.default_rng(2))
+    for track, truth in zip(sure, tracks, strict=True):
+        turned = turned_to_world(track, camera)
+        for angle, count in (("body", 8), ("head", 12)):
+            likelihood = getattr(turned, f"{angle}_likelihood")
+            np.testing.assert_allclose(likelihood.sum(axis=1), 1.0)
+            said = class_centres(count)[likelihood.argmax(axis=1)]
+            # Half a class of the image, half a one of the world, and the noise of the position.
+            assert np.abs(difference(said, getattr(truth, f"true_{angle}"))).max() < 2.2 * np.pi / count
+
+
+def test_every_filter_is_scored_with_every_model_of_the_paper(tracks: TrackSet) -> None:
+    short = tracks.map(lambda track: track[:8])
+    found = image_scores("drawn", short, partial(classified, rng=np.random.default_rng(3)))
+    methods = {method for preset, method, _ in found.errors if preset != "observation"}
+    assert methods == set(OPTIONS)
+    assert {preset for preset, *_ in found.errors} == {"observation", "separate", "joint-body", "joint"}
+    assert all(len(errors) == 2 and np.isfinite(errors).all() for errors in found.errors.values())
+
+
+def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> None:
+    tracks = simulate("joint", n_tracks=2, n_steps=25, rng=np.random.default_rng(5))
+
+    def smoothed(track: Track, model: Model) -> Track:
+        return smooth_track(track, model).track
+
+    def observed(track: Track, model: Model) -> Track:
+        return track
+
+    methods = {
+        "graph": ("online", smoothed),
+        f"graph{ISAM2}": ("online", smoothed),
+        "none": ("online", observed),
+    }
+    seen: list[int] = []
+    found = fitted_models(tracks, methods, 14, seen.append)
+    assert set(found) == {(preset, method) for preset in FITTED for method in methods}
+    for preset in FITTED:
+        assert found[preset, f"graph{ISAM2}"] is found[preset, "graph"]
+        before = np.mean([errors_of(smoothed(track, Model(preset)), track) for track in tracks])
+        after = np.mean([errors_of(smoothed(track, found[preset, "graph"]), track) for track in tracks])
+        assert after < before
+    # The paper's separate filtering has no κ₂ to fit.
+    of_head = "coupling.head_body_kappa"
+    assert found["joint-body", "graph"].parameters.value(of_head) == Model("joint-body").parameters.value(
+        of_head
+    )
+    rows = parameter_table(found).records()
+    assert rows[0]["method"] == "default" and len(rows) == 1 + 2 * len(FITTED)
+    assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
+
+
+def test_differences_between_methods_are_of_the_same_people() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.uniform(0.0, 100.0, 30)  # differs from person to person by far more than from method to method
+    names = {name for pair in PAIRS for name in pair}
+    worth = {name: float(i) for i, name in enumerate(sorted(names))}
+    default = {
+        ("joint", name, angle): hard + worth[name] + rng.normal(0.0, 0.1, 30)
+        for name in names
+        for angle in ANGLES
+    }
+    fitted = {("joint", name, angle): hard - worth[name] for name in names for angle in ANGLES}
+    for row in pair_rows([Scores("people", 30, default)], {"people": fitted}, rng):
+        first, second = str(row["difference"]).split(" − ")
+        expected = worth[first] - worth[second]
+        assert row["default (°)"] == pytest.approx(expected, abs=0.15)
+        assert row["default: low"] < row["default (°)"] < row["default: high"]
+        assert row["default: high"] - row["default: low"] < 0.3
+        assert row["fitted (°)"] == pytest.approx(-expected, abs=1e-9)
+
+
+def test_graphs_meet_the_tracker_on_the_same_tracks_of_each_cell() -> None:
+    hard = np.exp(
+        np.random.default_rng(1).normal(0.0, 1.0, 40)
+    )  # squared errors of the tracker over the filter's
+    found = []
+    for behaviour, share in enumerate((0.5, 2.0)):  # the graph's squared error over the tracker's
+        found.append(Gain(behaviour, 1.0, RIVAL, 1.0 / hard, 1.0 / hard, -hard))
+        few = hard[:10]
+        found.append(
+            Gain(behaviour, 1.0, "graph joint", 1.0 / (share * few), 1.0 / few, -few - np.log(share))
+        )
+    cells, counts = paired(found, ("straight", "turn"), np.random.default_rng(2))
+    first, second = cells.records()
+    assert first["squared error / tracker's"] == pytest.approx(0.5)
+    assert first["ratio: high"] == pytest.approx(0.5)
+    assert second["squared error / tracker's"] == pytest.approx(2.0)
+    assert first["nats a detection − tracker's"] == pytest.approx(np.log(2.0))
+    assert second["nats: high"] == pytest.approx(-np.log(2.0))
+    (count,) = counts.records()
+    assert count["cells"] == 2
+    assert count["squared error: better"] == count["squared error: clearly worse"] == 1
+    assert count["likelihood: clearly better"] == count["likelihood: clearly worse"] == 1

@@ -245,8 +245,7 @@ def test_titles_and_dots_of_a_page_are_within_their_panels(count: int) -> None:
         assert axes.get_ylim() == pytest.approx((0.0, 1.05 * 98.0))
 
 
-def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # without recordings: the corpus alone
+def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     tables = []
     for name in ("first", "again"):
@@ -254,8 +253,8 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         arguments += ["--out", name, "--json", f"{name}/tables.json"]
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 0, result.output
-        assert (tmp_path / name / "baxter-statistics.png").stat().st_size > 10_000
-        tables.append(json.loads((tmp_path / name / "tables.json").read_text(encoding="utf-8")))
+        assert (cwd / name / "baxter-statistics.png").stat().st_size > 10_000
+        tables.append(json.loads((cwd / name / "tables.json").read_text(encoding="utf-8")))
     assert tables[0] == tables[1]
     detail, beside = tables[0]
     assert detail["columns"][0] == "data"
@@ -275,8 +274,7 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
         (["reproduce", "chen-joint", "--out", "x", "--data", "nowhere"], "no such folder"),
     ],
 )
-def test_wrong_use(arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_wrong_use(arguments: list[str], said: str, cwd: Path) -> None:
     with pytest.raises(InputError, match=said):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 

@@ -21,7 +21,6 @@ from graphtrack.model import (
     LikelihoodParameters,
     Model,
     MotionParameters,
-    OrientationParameters,
     Parameters,
     presets,
 )
@@ -250,67 +249,7 @@ def test_tracks_of_a_few_frames_have_estimates(preset: str, length: int) -> None
         np.testing.assert_allclose(smooth_track(walk(1), Model("separate")).track.position, walk(1).position)
 
 
-@EVERY_PRESET
-def test_frames_without_any_observation_are_bridged(preset: str) -> None:
-    track, gap = walk(30, seed=2), slice(12, 20)
-    for name in ("position", "body", "head"):
-        track = without(track, name, gap)
-    model = Model(preset)
-    found = smooth_track(track, model).track
-    miss = np.linalg.norm(found.position - found.true_position, axis=1)
-    assert miss[gap].max() < 0.3
-    spread = found.std("x")
-    # Among the inner frames: where the head steers, the ends of the track are less certain than the gap.
-    assert 5 + np.argmax(spread[5:25]) in range(14, 18) and spread[15] > 1.1 * spread[10]
-    for name in ("body", "head"):
-        estimate, spread = getattr(found, name), found.std(name)
-        if estimate is not None:
-            assert np.abs(difference(estimate, getattr(found, f"true_{name}"))).max() < np.radians(40.0)
-            assert spread[15] > spread[8]
-    assert_covariances_are_proper(found, model)
-
-
-def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies() -> None:
-    track = replace(walk(30, seed=2), body=None, head=None)
-    found = smooth_track(track, Model("joint")).track
-    assert np.abs(difference(found.body, found.true_body)).mean() < np.radians(8.0)
-    np.testing.assert_allclose(difference(found.head, found.body), 0.0, atol=0.15)
-    still = replace(track, position=np.zeros((30, 2)))  # the coupling has no hold
-    np.testing.assert_allclose(smooth_track(still, Model("joint")).track.std("body"), UNIFORM_STD, rtol=1e-3)
-
-
 # Likelihoods.
-
-
-@pytest.mark.parametrize("robust", ["huber", "cauchy"])
-def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust: str) -> None:
-    track = walk(30, seed=3, noise=0.05)
-    spoiled = track.position.copy()
-    spoiled[15] += [4.0, -3.0]
-    spoiled_track = replace(track, position=spoiled)
-    parameters = Parameters(likelihood=LikelihoodParameters(robust=robust))
-    clean = smooth_track(track, Model("position")).track
-    plain = smooth_track(spoiled_track, Model("position")).track
-    sound = smooth_track(spoiled_track, Model("position", parameters)).track
-    ruined = np.linalg.norm(plain.position - clean.position, axis=1).max()
-    resisted = np.linalg.norm(sound.position - clean.position, axis=1).max()
-    assert ruined > 0.5 and resisted < 0.2 * ruined
-
-
-def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood() -> None:
-    track = walk(40, seed=3, angle_kappa=50.0)
-    spoiled = np.array(track.body)
-    spoiled[18:21] = wrap(spoiled[18:21] + 2.2)
-    track = replace(track, body=spoiled, body_kappa=np.full(40, 50.0))
-    errors = {}
-    for outlier in (0.0, 0.1):
-        parameters = Parameters(
-            orientation=OrientationParameters(body_diffusion=0.5),
-            likelihood=LikelihoodParameters(outlier_probability=outlier),
-        )
-        found = smooth_track(track, Model("separate", parameters)).track
-        errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
-    assert errors[0.0] > 0.5 and errors[0.1] < 0.4 * errors[0.0]
 
 
 def oblique_camera() -> GroundCamera:

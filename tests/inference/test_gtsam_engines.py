@@ -101,16 +101,6 @@ def test_only_isam2_has_no_lag(engine: Any) -> None:
     assert OnlineSmoother("joint", engine="isam2").lag == OnlineSmoother("joint", engine=engine).lag
 
 
-def test_likelihoods_of_classes_are_followed_as_closely_as_by_the_chain() -> None:
-    """Peaks are sharper than those of an angle: relinearised as seldom, the head would be 5° off."""
-    away = []
-    for seed in range(3):
-        track = walk(100, seed=seed, classes=True)
-        found, chained = (online(track, "joint", engine=engine, lag=2.0)[1] for engine in ("isam2", "chain"))
-        away.append(np.degrees(np.abs(apart(found, chained))[:, 4:]).mean(axis=0))
-    assert np.all(np.mean(away, axis=0) < (0.4, 1.5))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("lag", "turn"), [(2.0, 2.0), (2.0, 3.1), (None, 3.1)])
 def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) -> None:

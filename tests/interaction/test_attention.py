@@ -37,26 +37,6 @@ def of(found: Attention, kind: str, name: str) -> float:
     return float(found.probability[:, found.targets.index((kind, name))].mean())
 
 
-@pytest.mark.slow
-def test_probabilities_of_simulated_looks_hold() -> None:
-    made = party(np.random.default_rng(5), people=10, steps=240, fps=2.0)
-    noisy = gt.add_noise(made.tracks, head_kappa=6.0, body_kappa=6.0, rng=np.random.default_rng(1))
-    for tracks in (made.tracks, noisy):
-        given, true = [], []
-        for one in attention(tracks):
-            given.append(one.probability.ravel())
-            true.append((made.look[one.track_id][:, None] == np.array([*one.people, -1])).ravel())
-        p, y = np.concatenate(given), np.concatenate(true)
-        bins = np.minimum((15 * p).astype(int), 14)
-        error = sum(abs(np.sum(p[bins == k]) - np.sum(y[bins == k])) for k in range(15)) / len(p)
-        assert error <= 0.05
-        best = sum(
-            np.sum(np.array([*one.people, -1])[one.probability.argmax(axis=1)] == made.look[one.track_id])
-            for one in attention(tracks)
-        )
-        assert best / made.look.size > 0.4
-
-
 def speakers(tracks: TrackSet, groups: GroupLabels) -> dict[tuple[int, int], tuple[int, int]]:
     """(person, frame) → the member whom most of the others look at, and how many members there are.
 

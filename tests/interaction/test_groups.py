@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Done
+from command import Done, ran
 from command import run as run_program
 
 import graphtrack as gt
@@ -24,8 +24,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 
 def run(*arguments: object) -> Done:
-    done = run_program(*arguments, program="graphtrack")
-    assert done.returncode == 0, done.stderr
+    done = ran(*arguments, program="graphtrack")
     return done
 
 

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from command import ran
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.forecasting.recorded import read_forecasts
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.interaction.tables import read_group_table
 from graphtrack.tracks.schema import BOX_COLUMNS
 
 CAMERA = GroundCamera.from_calibration(
@@ -20,7 +25,6 @@ CAMERA = GroundCamera.from_calibration(
     np.array([0.0, 4.0 * np.cos(0.35), 4.0 * np.sin(0.35)]),
     np.array([[400.0, 0.0, 320.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]]),
 )
-SIZE = (480, 640)
 FRAMES = 12
 
 
@@ -64,30 +68,6 @@ def test_a_frame_has_its_people_with_boxes_on_their_positions(sv: Any) -> None:
     assert [len(one) for one in everybody.values()] == [1, 1, 2, 2, 2, 1, *[2] * 6]
     homography = gt.to_supervision(scene.tracks[0], 4, camera=CAMERA.homography)
     np.testing.assert_allclose(homography.xyxy[0, 3], found.xyxy[0, 3])
-
-
-def test_annotators_draw_boxes_and_traces(sv: Any) -> None:
-    image = np.zeros((*SIZE, 3), np.uint8)
-    colours = sv.ColorPalette([sv.Color(255, 0, 0), sv.Color(0, 255, 0)])
-    lookup = sv.ColorLookup.TRACK
-    boxes = sv.BoxAnnotator(colours, thickness=1, color_lookup=lookup)
-    traces = sv.TraceAnnotator(colours, sv.Position.BOTTOM_CENTER, thickness=1, color_lookup=lookup)
-    labels = sv.LabelAnnotator(colours, color_lookup=lookup)
-    found = gt.to_supervision(people())
-    for detections in found.values():
-        drawn = boxes.annotate(image.copy(), detections)
-        drawn = traces.annotate(drawn, detections)
-    last = found[FRAMES - 1]
-    for row, (left, top, right, bottom) in enumerate(last.xyxy.round().astype(int)):
-        for u, v in ((left, (top + bottom) // 2), (right, (top + bottom) // 2), ((left + right) // 2, top)):
-            assert drawn[v - 1 : v + 2, u - 1 : u + 2].any(), f"no box at {u}, {v}"
-        assert not drawn[top + 5, left + 3].any()  # only an outline
-        track = people().by_id(int(last.tracker_id[row]))
-        known = track.position[np.isfinite(track.position[:, 0])]
-        for u, v in CAMERA.ground_to_image(known).round().astype(int):
-            assert drawn[v - 2 : v + 3, u - 2 : u + 3].any(), f"no trace at {u}, {v}"
-    with_labels = labels.annotate(image.copy(), last, labels=list(last.data["label"]))
-    assert with_labels.any()
 
 
 def test_what_supervision_gave_goes_back_to_it_and_is_read_again(sv: Any) -> None:
@@ -165,3 +145,142 @@ def test_a_frame_of_polars_has_the_names_that_were_read() -> None:
     tracks = gt.read(given, columns="id=who,t=ms,x=px,y=py", time_unit="ms", units="cm")
     frame = gt.to_polars(tracks, as_read=True)
     assert frame.sort("ms", "who").select(given.columns).rows() == given.sort("ms", "who").rows()
+
+
+COLUMNS = {"id": "agent", "t": "timestamp", "lat": "lat", "lon": "lon"}
+SPEC = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
+
+
+def walks() -> pd.DataFrame:
+    """Two people who go north; one lacks a position."""
+    times = [f"2025-11-23T10:00:0{k}.5Z" for k in range(4)]
+    steps = 48.137 + 1e-5 * np.arange(4)
+    anna = pd.DataFrame({"agent": "anna", "timestamp": times, "lat": steps, "lon": 11.575})
+    bob = anna.assign(agent="bob", lon=11.576)
+    bob.loc[1, ["lat", "lon"]] = np.nan
+    return pd.concat([anna, bob], ignore_index=True)
+
+
+def test_points_keep_their_places_times_and_names_in_files(tmp_path: Path) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    points = gt.to_geopandas(gt.read(walks(), columns=COLUMNS))
+    points.to_file(tmp_path / "walks.gpkg")
+    points.to_parquet(tmp_path / "walks.parquet")
+    given = walks().dropna()
+    read = geopandas.read_file(tmp_path / "walks.gpkg"), geopandas.read_parquet(tmp_path / "walks.parquet")
+    for found in read:
+        assert found.crs.to_epsg() == 4326
+        np.testing.assert_allclose(found.geometry.x, given.lon, atol=1e-9)
+        np.testing.assert_allclose(found.geometry.y, given.lat, atol=1e-9)
+        assert list(found["agent"]) == list(given.agent)
+        expected = pd.to_datetime(given.timestamp).dt.tz_localize(None).to_numpy()
+        assert (found["time"].to_numpy() == expected.astype(found["time"].dtype.str)).all()
+
+
+def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    walks().to_csv(tmp_path / "walks.csv", index=False)
+    for ending in ("gpkg", "geoparquet"):
+        more = ("--columns", SPEC, "--model", "position", "-o", tmp_path / f"smoothed.{ending}")
+        ran("smooth", tmp_path / "walks.csv", *more, program="graphtrack")
+    layer = geopandas.read_file(tmp_path / "smoothed.gpkg")
+    table = geopandas.read_parquet(tmp_path / "smoothed.geoparquet")
+    assert layer.crs.to_epsg() == table.crs.to_epsg() == 4326
+    np.testing.assert_allclose(layer.geometry.x, table.geometry.x)
+    # Both are tables too.
+    again = gt.read(tmp_path / "smoothed.geoparquet", columns=COLUMNS)
+    frame = gt.read(layer.drop(columns="geometry"), columns=COLUMNS)
+    assert [track.label for track in again] == [track.label for track in frame] == ["anna", "bob"]
+    with pytest.raises(gt.InputError, match=r"GeoPackage.*read_file"):
+        gt.read(tmp_path / "smoothed.gpkg")
+    with pytest.raises(gt.InputError, match="only written"):
+        gt.read(tmp_path / "smoothed.gpkg", format="geopackage")
+
+
+def test_tables_of_groups_looks_and_forecasts_name_people(tmp_path: Path) -> None:
+    walks().assign(body_deg=90.0, head_deg=90.0).to_csv(tmp_path / "walks.csv", index=False)
+    for command in ("groups", "attention", "forecast"):
+        out = tmp_path / f"{command}.csv"
+        ran(command, tmp_path / "walks.csv", "--columns", SPEC, "-o", out, program="graphtrack")
+        table = pd.read_csv(out)
+        names = dict(zip(table["track_id"], table["label"], strict=True))
+        assert names == {1: "anna", 2: "bob"}, command
+    looks = pd.read_csv(tmp_path / "attention.csv")
+    others = looks[looks["kind"] == "person"]
+    assert list(others["target_label"]) == [{"1": "anna", "2": "bob"}[str(one)] for one in others["target"]]
+    assert looks[looks["kind"] != "person"]["target_label"].isna().all()
+    read_group_table(tmp_path / "groups.csv")
+    read_forecasts(tmp_path / "forecast.csv")
+
+
+def detections(frame: int, ids: bool = True, make: Any = SimpleNamespace) -> Any:
+    """Two people who walk past each other, and a dog."""
+    left = np.array([10.0 + 3.0 * frame, 200.0 - 3.0 * frame, 50.0])
+    corners = np.stack([left, [10.0, 30.0, 40.0], left + 40.0, [110.0, 130.0, 60.0]], axis=1)
+    return make(
+        xyxy=corners,
+        confidence=np.array([0.9, 0.8, 0.7]),
+        class_id=np.array([0, 0, 16]),
+        tracker_id=np.array([5, 2, 7]) if ids else None,
+    )
+
+
+def assert_walks(tracks: gt.TrackSet, frames: Any = range(FRAMES)) -> None:
+    frame = np.array(list(frames))
+    foot = np.stack([0.01 * (30.0 + 3.0 * frame), np.full(len(frame), -1.1)], axis=1)
+    first = min(tracks, key=lambda track: float(track.position[0, 0]))
+    np.testing.assert_allclose(first.position, foot)
+    np.testing.assert_array_equal(first.frame, frame)
+    np.testing.assert_allclose(first.t, frame / 4.0)
+
+
+def test_ids_of_a_tracker_are_the_tracks() -> None:
+    found = [detections(frame) for frame in range(FRAMES)]
+    tracks = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01)
+    assert [track.track_id for track in tracks] == [2, 5]
+    assert_walks(tracks)
+    some = {frame: detections(frame) for frame in (3, 6)}
+    assert_walks(gt.from_supervision(some, fps=4.0, metres_per_pixel=0.01), some)
+    everything = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01, person=None)
+    assert [track.track_id for track in everything] == [2, 5, 7]
+
+    def result(one: Any) -> SimpleNamespace:
+        boxes = SimpleNamespace(xyxy=one.xyxy, conf=one.confidence, cls=one.class_id, id=one.tracker_id)
+        return SimpleNamespace(boxes=boxes, names={0: "person", 16: "dog"}, keypoints=None)
+
+    assert_walks(gt.from_ultralytics(map(result, found), fps=4.0, metres_per_pixel=0.01))
+
+
+def test_detections_without_ids_are_associated() -> None:
+    found = [detections(frame, ids=False) for frame in range(FRAMES)]
+    tracks = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01)
+    assert len(tracks) == 2
+    assert_walks(tracks)
+    with pytest.raises(InputError, match="without identities"):
+        gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01, associate="never")
+
+
+def test_what_the_package_trackers_gives_is_taken() -> None:
+    supervision = pytest.importorskip("supervision", reason="the extra peers has it")
+    trackers = pytest.importorskip("trackers", reason="see the extra peers")
+    tracker = trackers.ByteTrackTracker(frame_rate=4.0)
+    found = [tracker.update(detections(k, ids=False, make=supervision.Detections)) for k in range(FRAMES)]
+    assert found[0].tracker_id is not None and (found[0].tracker_id == -1).all()  # no tracks yet
+    tracks = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01)
+    assert_walks(tracks, range(1, FRAMES))
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        (detections(0), "a list of them"),
+        ([], "no people in 0 frames"),
+        ([detections(0), detections(1, ids=False)], "no ids in frame 1"),
+        ([SimpleNamespace(boxes=None)], "without xyxy"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(found: Any, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        gt.from_supervision(found, fps=4.0)
+    with pytest.raises(InputError, match="fps"):
+        gt.from_supervision([detections(0)], fps=0.0)

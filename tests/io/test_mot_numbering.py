@@ -8,12 +8,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import command
 import numpy as np
+import pandas as pd
 import pytest
-from command import run as run_program
+from format_samples import sample_of
+from refusals import refused
 from same_tracks import assert_same
 
 import graphtrack as gt
+from graphtrack import io
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.io.formats.mot import SHIFTED
 from graphtrack.tracks.track import Track, TrackSet
@@ -65,7 +69,7 @@ def test_frames_below_0_are_refused(tmp_path: Path) -> None:
 
 def test_the_command_says_that_frames_are_shifted(tmp_path: Path) -> None:
     gt.write(people(0), tmp_path / "tracks.csv")
-    done = run_program("convert", tmp_path / "tracks.csv", "-o", tmp_path / "x.txt", program="graphtrack")
+    done = command.run("convert", tmp_path / "tracks.csv", "-o", tmp_path / "x.txt", program="graphtrack")
     assert done.returncode == 0 and "note: frames begin at 0" in done.stderr, done.stderr
     assert min(frames_in(tmp_path / "x.txt")) == 1
 
@@ -136,11 +140,65 @@ def test_boxes_alone_are_written_for_evaluation_in_the_image(tmp_path: Path) -> 
     assert trackeval_scores(*files, 6, tmp_path) == (1.0, 1.0)
 
 
-def test_time_steps_are_those_that_trackeval_expects(tmp_path: Path) -> None:
-    """Its rule (``_load_raw_file``): the first column is among 1, 2 … the sequence's length."""
-    with pytest.warns(InputWarning):
-        gt.write(people(0), tmp_path / "tracks.txt")
-    boxes = [PersonBox(k, 1, (10.0, 20.0, 30.0, 80.0)) for k in range(6)]
-    write_boxes(boxes, tmp_path / "boxes.txt")
-    for name in ("tracks.txt", "boxes.txt"):
-        assert {*frames_in(tmp_path / name)} <= {*range(1, 7)}
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """Two people, at 14 frames a second, and a detector's output for one of them."""
+    folder = tmp_path / "MOT-02"
+    for name in ("gt", "det", "img1"):
+        (folder / name).mkdir(parents=True)
+    (folder / "gt" / "gt.txt").write_bytes(sample_of("mot", "metres").content())
+    rows = [line.split(",") for line in sample_of("mot", "metres").content().decode().splitlines()]
+    boxes = [",".join([row[0], "-1", *row[2:6], "0.5,-1,-1,-1"]) for row in rows if row[1] == "1"]
+    (folder / "det" / "det.txt").write_text("\n".join(boxes) + "\n")
+    info = "[Sequence]\nname=MOT-02\nimDir=img1\nframeRate=14\nseqLength=6\nimWidth=640\nimHeight=480\n"
+    (folder / "seqinfo.ini").write_text(info)
+    return folder
+
+
+def test_a_sequence_is_its_tracks_at_its_own_rate(sequence: Path) -> None:
+    tracks = gt.read(sequence)
+    assert [track.track_id for track in tracks] == [1, 2]
+    np.testing.assert_allclose(tracks.by_id(1).t * 14.0, tracks.by_id(1).frame)
+    assert "frame rate 14 Hz and images of 640 × 480 from seqinfo.ini" in tracks.summary.notes
+    assert "read gt/gt.txt of the sequence" in tracks.summary.notes
+
+
+def test_without_tracks_a_sequence_is_its_detections(sequence: Path) -> None:
+    (sequence / "gt" / "gt.txt").unlink()
+    with pytest.raises(InputError, match="without identities"):
+        gt.read(sequence, associate="never")
+    assert len(gt.read(sequence)) == 1
+
+
+def test_folders_of_sequences_are_compared_one_by_one(sequence: Path, tmp_path: Path) -> None:
+    other = tmp_path / "again" / sequence.name
+    (other / "gt").mkdir(parents=True)
+    (other / "gt" / "gt.txt").write_bytes(sample_of("mot", "metres").content())
+    sequences = tmp_path / "train"
+    sequences.mkdir()
+    sequence.rename(sequences / sequence.name)
+    options = ("--truth", sequences, "--iou", "0.5")
+    done = command.run("score", tmp_path / "again", *options, program="graphtrack")
+    assert done.returncode == 0 and "MOT-02" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("name", ["walks.parquet", "walks.csv"])
+def test_a_file_by_its_url(name: str, cwd: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    url, n = f"memory://bucket/{name}", np.arange(12)
+    who = np.repeat(["anna", "bob", "eve"], 4)
+    walks = pd.DataFrame({"who": who, "seconds": n % 4, "east": n % 4 + n // 4.0, "north": 0.5})
+    with fsspec.open(url, "wb") as stream:
+        walks.to_csv(stream, index=False) if name.endswith("csv") else walks.to_parquet(stream)
+    columns = "id=who,t=seconds,x=east,y=north"
+    tracks = io.read_identified(url, columns=columns)
+    assert [track.label for track in tracks] == ["anna", "bob", "eve"]
+    assert "each file once" in str(refused([url, url], columns=columns))
+    done = command.run("info", url, "--columns", columns, program="graphtrack")
+    assert done.returncode == 0 and url in done.stderr and "anna" in done.stdout
+    walks.to_csv("walks.csv", index=False)
+    assert len(io.read_identified(f"file://{cwd}/walks.csv", columns=columns)) == 3
+    for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{cwd}/none.csv"):
+        assert wrong in str(refused(wrong))
+        done = command.run("info", wrong, program="graphtrack")
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import ran
 from command import run as run_program
 
 import graphtrack as gt
@@ -107,8 +108,7 @@ def test_the_commands_learn_and_judge(tmp_path: Path) -> None:
     (tmp_path / "looks.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "groups.csv").write_text("frame,track_id,group\n0,0,1\n0,1,1\n")
     scene, looks, learned = (tmp_path / name for name in ("party.csv", "looks.csv", "learned.toml"))
-    done = run_program("fit", scene, "--attention", looks, "-o", learned, program="graphtrack")
-    assert done.returncode == 0, done.stderr
+    ran("fit", scene, "--attention", looks, "-o", learned, program="graphtrack")
     assert load_attention(learned) != AttentionParameters()
     judged = run_program(
         *("attention", scene, "-o", tmp_path / "attention.csv"),

@@ -43,6 +43,10 @@ PARAMETERS = st.builds(
 )
 
 
+RANGES = {one.name: one.metadata["range"] for one in fields(gt.SceneParameters)}
+SCENES = st.fixed_dictionaries({}, optional={name: st.floats(*limits) for name, limits in RANGES.items()})
+
+
 def load(folder: Path, text: str) -> Model:
     path = folder / "model.toml"
     path.write_text(text, encoding="utf-8")
@@ -57,18 +61,22 @@ def refused(folder: Path, text: str) -> InputError:
 
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS)
-def test_a_saved_model_loads_as_it_was(tmp_path: Path, preset: str, parameters: Parameters) -> None:
+@given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS, scene=SCENES)
+def test_a_saved_model_loads_as_it_was(
+    tmp_path: Path, preset: str, parameters: Parameters, scene: dict[str, float]
+) -> None:
     path = tmp_path / "model.toml"
-    model = Model(preset, parameters)
+    model = Model(preset, parameters, scene=scene)
     model.save(path)
     copies = Model.load(path), pickle.loads(pickle.dumps(model)), Model.from_dict(model.to_dict())
     for copy in (*copies, Model.named(path), Model.named(str(path))):
-        assert (copy.preset, copy.parameters) == (preset, parameters)
+        assert (copy.preset, copy.parameters, dict(copy.scene)) == (preset, parameters, scene)
         assert [type(term) for term in copy.terms] == [type(term) for term in model.terms]
     assert Model.named(model) is model and Model.named(preset).preset == preset
     content = tomllib.loads(path.read_text(encoding="utf-8"))
-    assert content == {"preset": preset, **dataclasses.asdict(parameters)}
+    assert content == {"preset": preset, **dataclasses.asdict(parameters)} | (
+        {"scene": scene} if scene else {}
+    )
 
 
 @pytest.mark.parametrize("preset", presets)
@@ -127,6 +135,13 @@ WRONG = [
     ('[likelihood]\nrobust = "tukey"\n', "likelihood.robust = ", "huber"),
     ("[likelihood]\nrobust = []\n", "likelihood.robust = ", "huber"),
     ("[likelihood]\nimage_frame = 1\n", "likelihood.image_frame = ", "true"),
+    ("[scene]\ndeath_rat = 1.0\n", "key scene.death_rat", "death_rate"),
+    ("[scene]\ndetection_probability = 1.5\n", "scene.detection_probability = 1.5", "[0.01, 0.999]"),
+    ("[scene]\nlongest_gap = -1\n", "scene.longest_gap = -1", "[0.05, 60] s"),
+    ("[scene]\nposition_std = nan\n", "scene.position_std = nan", "m"),
+    ("[scene]\nclutter_density = 'low'\n", "scene.clutter_density = 'low'", "1/m²"),
+    ("scene = 3\n", "scene = 3", "a table [scene]"),
+    ("[scnee]\n", "the unknown table 'scnee'", "scene"),
 ]
 
 
@@ -225,49 +240,12 @@ def test_the_weight_of_a_coupling_is_a_share_of_the_correlation_time(correlation
     assert coupling.weights(None) == 1.0
 
 
-RANGES = {one.name: one.metadata["range"] for one in fields(gt.SceneParameters)}
-SCENES = st.fixed_dictionaries({}, optional={name: st.floats(*limits) for name, limits in RANGES.items()})
-
-
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(known=SCENES)
-def test_what_is_known_of_a_scene_loads_as_it_was_saved(tmp_path: Path, known: dict[str, float]) -> None:
-    path, model = tmp_path / "model.toml", gt.Model("joint", scene=known)
-    model.save(path)
-    for copy in (gt.Model.load(path), pickle.loads(pickle.dumps(model)), gt.Model.from_dict(model.to_dict())):
-        assert dict(copy.scene) == known
-    assert ("scene" in tomllib.loads(path.read_text("utf-8"))) == bool(known)
-
-
 def test_a_scene_stays_with_a_model_whose_parameters_change() -> None:
     scene = gt.SceneParameters(detection_probability=0.7)
     assert gt.Model(scene=scene).scene == asdict(scene)
     model = gt.Model("position", scene={"death_rate": 0.2})
     assert model.with_parameters(gt.Parameters()).scene == {"death_rate": 0.2}
     assert model.with_scene(None).scene == {} and "scene.death_rate=0.2" in repr(model)
-
-
-@pytest.mark.parametrize(
-    ("text", "found", "expected"),
-    [
-        ("[scene]\ndeath_rat = 1.0\n", "key scene.death_rat", "death_rate"),
-        ("[scene]\ndetection_probability = 1.5\n", "scene.detection_probability = 1.5", "[0.01, 0.999]"),
-        ("[scene]\nlongest_gap = -1\n", "scene.longest_gap = -1", "[0.05, 60] s"),
-        ("[scene]\nposition_std = nan\n", "scene.position_std = nan", "m"),
-        ("[scene]\nclutter_density = 'low'\n", "scene.clutter_density = 'low'", "1/m²"),
-        ("scene = 3\n", "scene = 3", "a table [scene]"),
-        ("[scnee]\n", "the unknown table 'scnee'", "scene"),
-    ],
-)
-def test_what_is_wrong_in_a_scene_is_named_with_its_file(
-    tmp_path: Path, text: str, found: str, expected: str
-) -> None:
-    path = tmp_path / "model.toml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(gt.InputError) as caught:
-        gt.Model.load(path)
-    assert caught.value.path == str(path)
-    assert caught.value.found == found and expected in caught.value.expected
 
 
 def test_a_stream_goes_on_with_the_scene_that_it_began_with() -> None:

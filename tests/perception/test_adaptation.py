@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 from street_files import write_street
 
-from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.model import Model
 from perception.adaptation.directions import (
     CLASSES,
     calibrated,
+    class_outlier_probability,
     fit_directions,
     folds_of,
     observed_directions,
@@ -30,8 +30,9 @@ from perception.adaptation.labels import (
     patch_of,
     walking_labels,
 )
-from perception.adaptation.learning import AdaptationParameters, thinned
+from perception.adaptation.learning import AdaptationParameters, joined, thinned
 from perception.adaptation.models import CameraModels
+from perception.evaluation.adapted_cameras import sequences_of
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, observe_frame
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
@@ -42,8 +43,7 @@ def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
     arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
-    done = run("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
-    assert done.returncode == 0, done.stderr
+    done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     return folder / "camera.npz", done.stdout + done.stderr
 
 
@@ -147,24 +147,6 @@ def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, s
         assert text in said
 
 
-def test_observe_uses_what_the_camera_has_learned(
-    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
-) -> None:
-    arguments = write_street(others, tmp_path / "street")
-    done = run("observe", *arguments, "--models", adapted[0], "-o", tmp_path / "o.csv")
-    assert done.returncode == 0, done.stderr
-    tracks = io.read_identified(tmp_path / "o.csv")
-    assert len(tracks) == 8
-    body = np.concatenate([track.body_likelihood for track in tracks if track.body_likelihood is not None])
-    models = CameraModels.load(adapted[0])
-    image = others.frames[0].image
-    assert image is not None
-    first = np.exp(models.look(image, [others.boxes[0].box])[0][0])
-    # The table turns by the ray and interpolates; the most certain image angles stay about as certain.
-    assert abs(body[0].max() - first.max()) < 0.25
-    np.testing.assert_allclose(body.sum(axis=1), 1.0, atol=1e-3)
-
-
 def test_frames_of_another_size_are_refused(adapted: tuple[Path, str]) -> None:
     models = CameraModels.load(adapted[0])
     with pytest.raises(InputError, match="320 × 240"):
@@ -189,10 +171,53 @@ def test_what_cannot_be_learned_from_is_one_line_and_nothing_is_written(case: st
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_models_beside_a_model_of_one_part_are_refused(
-    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
-) -> None:
-    arguments = write_street(others, tmp_path / "street")
-    own = ["--body-pose-model", adapted[0]]
-    done = run("observe", *arguments, "--models", adapted[0], *own, "-o", tmp_path / "o.csv")
-    assert done.returncode == 2 and "one of them" in done.stderr
+def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Classifications of 60 people in 20 frames each, right by 0.65; one per person, or one per frame."""
+    person = np.repeat(np.arange(60), 20)
+    angle = np.repeat(rng.uniform(-np.pi, np.pi, 60), 20)
+    draws = rng.choice(8, 60 if again else len(person), p=[0.65, *[0.05] * 7])
+    off = draws[person] if again else draws
+    said = np.full((len(person), 8), 0.05)
+    said[np.arange(len(person)), (CLASSES.index(angle) + off) % 8] = 0.65
+    return np.log(said), angle, person
+
+
+def test_frames_that_repeat_each_other_are_worth_less_than_new_ones() -> None:
+    rng = np.random.default_rng(0)
+    found = {}
+    for again in (True, False):
+        said, angle, person = _said(rng, again=again)
+        found[again] = class_outlier_probability([said], angle, person, np.ones(len(person)))
+    assert found[True] > 0.8 and found[False] < 0.4
+
+
+def test_people_of_several_recordings_stay_apart_and_thinning_keeps_their_weight() -> None:
+    one = pasted_street(4, np.random.default_rng(2), offset=0.0)
+    labels = walking_labels(one.boxes, None, one.camera, FPS)
+    both = joined([labels, labels])
+    assert len(np.unique(both.person)) == 8 and both.tracks == 8
+    thin = thinned(both, AdaptationParameters(most_of_person=2))
+    assert len(thin) == 16
+    np.testing.assert_allclose(thin.count.sum(), len(both))
+
+
+@pytest.mark.slow
+def test_a_camera_learns_from_two_recordings_and_writes_the_graph_that_goes_with_it(tmp_path: Path) -> None:
+    arguments: list[object] = []
+    for name, seed in (("a", 5), ("b", 6)):
+        street = pasted_street(11, np.random.default_rng(seed))
+        frames, option, boxes, *options = write_street(street, tmp_path / name)
+        arguments += [frames, option, boxes]
+    arguments += options
+    once = run("adapt", *arguments, "--boxes", boxes, "-o", tmp_path / "camera.npz")
+    assert once.returncode == 2 and "--boxes 3 times for 2 recordings" in once.stderr
+    graph = tmp_path / "camera.toml"
+    done = ran("adapt", *arguments, "-o", tmp_path / "camera.npz", "--write-model", graph)
+    assert "of 22 tracks" in done.stdout + done.stderr
+    share = Model.named(graph).parameters.likelihood.class_outlier_probability
+    assert 0.05 <= share <= 0.98
+
+
+def test_one_sequence_of_the_lobby_is_too_few_to_judge_adaptation(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="0 sequences"):
+        sequences_of(tmp_path)

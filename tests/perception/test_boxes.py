@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
+import pandas as pd
 import pytest
+from command import run
 
+import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputError
 from perception.detection.boxes import PersonBox, foot_point, read_boxes, write_boxes
@@ -107,3 +113,126 @@ def test_boxes_beyond_all_reason_are_refused_with_their_line(
     with pytest.raises(InputError) as found:
         read_boxes(tmp_path / name)
     assert found.value.line == line
+
+
+WALK = [(0, 20.0), (1, 24.0), (2, 28.0), (3, 32.0)]
+"""Frame, from 0, and the left edge of the box."""
+
+
+def mot(path: Path, first: int) -> Path:
+    rows = [f"{frame + first},1,{left},10,30,80,1,-1,-1,-1" for frame, left in WALK]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def coco(path: Path, change: Any = lambda entries: entries) -> Path:
+    entries = [
+        {"image_id": frame, "category_id": 1, "bbox": [left, 10, 30, 80], "score": 0.9}
+        for frame, left in WALK
+    ]
+    path.write_text(json.dumps(change(entries)))
+    return path
+
+
+def numbered(boxes: list[Any]) -> list[tuple[int, float]]:
+    return [(item.frame, item.box[0]) for item in boxes]
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("video") / "walk.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (120, 100))
+    for _ in WALK:
+        writer.write(np.full((100, 120, 3), 90, np.uint8))
+    writer.release()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("first", "recording", "named", "ahead", "said"),
+    [
+        (1, 0, None, 1, "frame 1 of MOT text is the first"),
+        (0, 0, None, 0, "begin at 0, not at 1"),
+        (1, 1, None, 0, "those of the numbered images"),
+        (1, 0, 0, 0, "frame 0 is the first of the recording, as asked for"),
+        (5, 0, 5, 5, "frame 5 is the first of the recording, as asked for"),
+    ],
+)
+def test_frames_of_mot_text_are_brought_to_those_of_the_recording(
+    first: int, recording: int, named: int | None, ahead: int, said: str, tmp_path: Path
+) -> None:
+    told: list[str] = []
+    boxes = read_boxes(mot(tmp_path / "det.txt", first), first=recording, named=named, note=told.append)
+    assert numbered(boxes) == [(frame + first - ahead, left) for frame, left in WALK]
+    assert len(told) == 1 and said in told[0]
+
+
+@pytest.mark.parametrize("options", [[], ["--boxes-first-frame", 1]])
+def test_observe_looks_at_the_frames_of_the_boxes(options: list[object], video: Path, tmp_path: Path) -> None:
+    det, out = mot(tmp_path / "det.txt", 1), tmp_path / "out.csv"
+    done = run("observe", video, "--boxes", det, "-o", out, "--homography", homography(tmp_path), *options)
+    assert done.returncode == 0 and "note: " in done.stderr, done.stderr
+    assert "boxes of missing frames" not in done.stderr
+    assert pd.read_csv(out)["frame"].tolist() == [frame for frame, _ in WALK]
+
+
+def homography(folder: Path) -> Path:
+    np.savetxt(folder / "homography.txt", np.diag([0.02, 0.02, 1.0]))
+    return folder / "homography.txt"
+
+
+def as_dataset(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """The same as annotations of images that are called by their frames, with ids in another order."""
+    images = [{"id": 70 - frame, "file_name": f"img/{frame:06d}.jpg"} for frame, _ in WALK]
+    people = [
+        {"image_id": 70 - one["image_id"], "category_id": 3, "bbox": one["bbox"], "track_id": 8}
+        for one in entries
+    ]
+    others = [
+        {"image_id": 70, "category_id": 4, "bbox": [1, 1, 5, 5], "track_id": 9},
+        {"image_id": 70, "category_id": 3, "bbox": [1, 1, 5, 5], "track_id": 10, "iscrowd": 1},
+        {"image_id": 69, "category_id": 3, "track_id": 11},
+    ]
+    categories = [{"id": 3, "name": "person"}, {"id": 4, "name": "dog"}]
+    return {"images": images, "annotations": people + others, "categories": categories}
+
+
+def test_annotations_of_coco_are_tracks(tmp_path: Path) -> None:
+    path = coco(tmp_path / "annotations.json", as_dataset)
+    told: list[str] = []
+    boxes = read_boxes(path, told.append)
+    assert numbered(boxes) == numbered(read_boxes(path, first=0)) == WALK and all(
+        item.identified and item.track_id == 8 for item in boxes
+    )
+    assert [line.removeprefix(f"{path}: ") for line in told] == [
+        "1 of category dog",
+        "1 of category crowd",
+        "1 without a box",
+    ]
+    tracks = gt.read(path, fps=10.0, metres_per_pixel=0.02)
+    assert [track.track_id for track in tracks] == [8]
+    assert (tracks.summary.rows_read, tracks.summary.rows_used) == (7, 4)
+    np.testing.assert_allclose(tracks.tracks[0].position[:, 0], [0.02 * (left + 15.0) for _, left in WALK])
+
+
+def test_results_of_coco_are_associated(tmp_path: Path) -> None:
+    path = coco(tmp_path / "detections.json")
+    (track,) = gt.read(path, fps=10.0, metres_per_pixel=0.01)
+    assert track.frame.tolist() == [frame for frame, _ in WALK]
+    with pytest.raises(InputError, match="no frame rate, expected frames a second"):
+        gt.read(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda entries: [*entries[:2], {**entries[2], "bbox": [1, 2, 0, 4]}], "sizes above 0"),
+        (lambda entries: [*entries[:2], {**entries[2], "bbox": [1, 2, 3]}], "left, top, width and height"),
+        (lambda entries: [*entries[:2], {**entries[2], "score": 7}], "a number from 0 to 1"),
+        (lambda entries: [*entries[:2], {**entries[2], "image_id": "a"}], "a name that ends in one"),
+        (lambda entries: [*entries[:2], {"bbox": [1, 2, 3, 4]}], "entry 3 without image_id"),
+    ],
+)
+def test_entries_that_cannot_be_used_are_told(change: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        read_boxes(coco(tmp_path / "detections.json", change))

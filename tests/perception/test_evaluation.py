@@ -9,15 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 
-from graphtrack.experiments import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
 from perception.drawing.overlays import Cues, draw_cues
 from perception.evaluation.classifiers import class_rates
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of
-from perception.experiments.chen_pixels import EXPERIMENT
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
 from perception.synthetic.clips import Clip, walking_clip
@@ -104,21 +102,9 @@ def test_arrows_point_where_they_should(clip: Clip, people: list[ObservedPerson]
 
 
 @pytest.mark.slow
-def test_the_experiment_on_pixels_has_the_papers_numbers_and_ours() -> None:
-    found = EXPERIMENT.run(Settings(quick=True), lambda count: None)
-    beside = found.tables[-1].records()
-    assert {row["paper: joint"] for row in beside} == {21.9, 17.6}
-    assert {"particle (online)", "graph, chain (online)", "smoother (offline)"} <= {
-        row["ours: method"] for row in beside
-    }
-    assert len(found.figure.subfigs) == 2
-
-
-@pytest.mark.slow
 def test_the_pose_table_and_its_picture(tmp_path: Path) -> None:
     written = tmp_path / "t.json"
-    done = run("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png", "--json", written)
-    assert done.returncode == 0, done.stderr
+    done = ran("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png", "--json", written)
     for text in ("templates", "exemplars", "deep_belief", "body_pose", "TPR", "FPR"):
         assert text in done.stdout
     assert cv2.imread(str(tmp_path / "p.png")) is not None
@@ -134,8 +120,7 @@ def test_wrong_tables_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_forms_as_printed_stand_beside_ours() -> None:
-    done = run("evaluate", "published", "--train", 200, "--count", 50)
-    assert done.returncode == 0, done.stderr
+    done = ran("evaluate", "published", "--train", 200, "--count", 50)
     for text in ("body_pose: ours", "templates: ours", "head_localiser: ours"):
         assert text in done.stdout
     assert done.stdout.count("as printed") >= 4

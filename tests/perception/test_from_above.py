@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import Done, run
+from command import Done, ran, run
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -30,8 +30,7 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     made = {}
     for target in ("person", "robot"):
         made[target] = tmp_path_factory.mktemp("rooms") / target
-        done = run("simulate", "ceiling", "-o", made[target], "--target", target, "--frames", 70, "--seed", 3)
-        assert done.returncode == 0, done.stderr
+        ran("simulate", "ceiling", "-o", made[target], "--target", target, "--frames", 70, "--seed", 3)
     return made
 
 

@@ -10,13 +10,15 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import ran, run
+from scipy.special import expit
 from street_files import write_street
 
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import write_calibration
+from graphtrack.tracks.track import Track, TrackSet
 from perception.detection import rescoring
 from perception.detection.background import Background, Backgrounds, background_samples
 from perception.detection.boxes import foot_point
@@ -30,9 +32,11 @@ from perception.detection.ground_search import (
 )
 from perception.detection.hog import TALL
 from perception.detection.rescoring import (
+    Certainty,
     GroundDetector,
     PersonProbability,
     adapt_to_recording,
+    judged_by_other_frames,
     learning_frames,
 )
 from perception.images.frames import Frame
@@ -261,8 +265,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
     street: PastedStreet, written: list[object], tmp_path: Path
 ) -> None:
     out = tmp_path / "seen.csv"
-    done = run("observe", *written, "-o", out, "--write-boxes", tmp_path / "boxes.txt")
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", *written, "-o", out, "--write-boxes", tmp_path / "boxes.txt")
     assert "walking people" in done.stderr and "searched for people in 63 frames" in done.stderr
     table = pd.read_csv(out)
     assert set(table["track_id"]) == {-1} and table["score"].between(0.5, 1.0).all()
@@ -290,8 +293,7 @@ def test_a_run_goes_on_with_what_it_was_taught(
 
     monkeypatch.setattr(GroundSearch, "candidates", interrupted)
     assert run("observe", *written, "-o", tmp_path / "o.csv").returncode != 0
-    done = run("observe", *written, "-o", tmp_path / "o.csv")
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", *written, "-o", tmp_path / "o.csv")
     assert "going on after 49 frames" in done.stderr and "walking people" not in done.stderr
     assert len(count) == 50 + 63 - 49
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o.csv", "whole.csv"]
@@ -301,8 +303,7 @@ def test_a_run_goes_on_with_what_it_was_taught(
 
 @pytest.mark.slow
 def test_adapt_finds_people_itself_and_leaves_no_journal(written: list[object], tmp_path: Path) -> None:
-    done = run("adapt", *written, "-o", tmp_path / "camera.npz")
-    assert done.returncode == 0, done.stderr
+    done = ran("adapt", *written, "-o", tmp_path / "camera.npz")
     assert "searched for people in 63 frames" in done.stderr
     assert re.search(r"boxes of \d walking people in \d+ tracks", done.stdout + done.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["camera.npz"]
@@ -326,3 +327,62 @@ def test_a_calibration_of_another_image_size_is_one_line(written: list[object], 
     assert done.returncode == 2 and done.stderr.count("error:") == 1
     assert "frames of 320 × 240 pixels, expected those of the calibration" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["camera.ci"]
+
+
+JUDGED = {"radius": 0.5, "least_boxes": 5, "least_way": 1.5}
+
+
+def test_what_is_said_too_surely_is_said_as_often_as_it_is_so() -> None:
+    rng = np.random.default_rng(0)
+    true = rng.normal(0.0, 2.0, 4000)
+    right = rng.random(4000) < expit(true)
+    certainty = Certainty.fitted(3.0 * true + 1.0, right)
+    fresh = rng.normal(0.0, 2.0, 4000)
+    said = certainty.of(3.0 * fresh + 1.0)
+    assert np.abs(said - expit(fresh)).mean() < 0.04
+    assert np.abs(expit(3.0 * fresh + 1.0) - expit(fresh)).mean() > 0.1
+
+
+def test_what_is_likelier_stays_likelier_and_beyond_the_ends_too() -> None:
+    rng = np.random.default_rng(1)
+    said = rng.normal(size=300)
+    certainty = Certainty.fitted(said, rng.random(300) < 0.5)
+    values = certainty.of(np.linspace(-30.0, 30.0, 500))
+    assert (np.diff(values) > 0.0).all() and values[0] > 0.0 and values[-1] < 1.0
+
+
+@pytest.mark.parametrize("all_of_them", [True, False])
+def test_of_one_kind_nothing_is_certain(all_of_them: bool) -> None:
+    certainty = Certainty.fitted(np.arange(8.0), np.full(8, all_of_them))
+    assert certainty.of(np.array([3.0]))[0] == pytest.approx(0.9 if all_of_them else 0.1, abs=0.01)
+
+
+def straight(track_id: int, frames: int, speed: float, y: float) -> Track:
+    frame = np.arange(frames)
+    t = 0.4 * frame
+    return Track(track_id, frame, t, np.column_stack([speed * t, np.full(frames, y)]))
+
+
+def test_a_detection_that_lies_off_is_wrong_though_its_track_has_it() -> None:
+    walk = straight(1, 15, 1.3, 0.0)
+    off = walk.position.copy()
+    off[7] += [0.0, 0.9]
+    tracks = TrackSet((Track(1, walk.frame, walk.t, off),))
+    right = judged_by_other_frames(walk.frame, off, tracks, **JUDGED)
+    assert right[7] == 0.0
+    assert (right[2:7] == 1.0).all() and (right[8:13] == 1.0).all()
+
+
+def test_who_stands_says_nothing_and_what_nobody_follows_is_nobody() -> None:
+    walk, still = straight(1, 15, 1.3, 0.0), straight(2, 15, 0.0, 5.0)
+    frame = np.array([7, 7, 7, 7])
+    there = walk.position[7]
+    place = np.array([there, [0.05, 5.0], [9.0, 9.0], there + np.array([0.3, 0.0])])
+    right = judged_by_other_frames(frame, place, TrackSet((walk, still)), **JUDGED)
+    np.testing.assert_array_equal(right, [1.0, np.nan, 0.0, 0.0])  # one of the walker's two is too many
+
+
+def test_a_track_says_nothing_beyond_its_ends() -> None:
+    walk = straight(1, 15, 1.3, 0.0)
+    ends = judged_by_other_frames(walk.frame, walk.position, TrackSet((walk,)), **JUDGED)[[0, -1]]
+    assert not (ends == 1.0).any()

@@ -13,13 +13,10 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
 from perception.experiments.head_trackers import graph_on_top, survives
 from perception.follow import guidance
-from perception.follow.following import Followed, follow, to_track
-from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
+from perception.follow.following import Followed, to_track
+from perception.follow.ground import BoxCamera
 from perception.follow.guidance import GUIDE_MODEL, GraphGuide
-from perception.images.frames import Frame
 from perception.pose.classes import PoseClasses
-from perception.synthetic.head_clips import HeadClipParameters, head_clip
-from perception.trackers.color import ColourTracker
 from perception.trackers.tracker import BoxEstimate
 
 FPS = 25.0
@@ -167,28 +164,3 @@ def test_survival_counts_from_the_reappearance_on() -> None:
     assert not survives(boxes, true, visible)
     with pytest.raises(ValueError, match="come back"):
         survives(boxes, true, np.where(np.arange(60) < 55, 1.0, 0.0))
-
-
-@pytest.mark.slow
-def test_guided_the_colour_tracker_finds_a_head_again_behind_a_wall() -> None:
-    clip = head_clip(
-        np.random.default_rng(3),
-        HeadClipParameters(
-            80, (240, 180), head_width=(16.0, 20.0), speed=(1.8, 2.2), occlusion=(32, 25), clutter=0.0
-        ),
-    )
-    first = tuple(clip.boxes[0].tolist())
-    found = {}
-    for is_guided in (False, True):
-        tracker = ColourTracker(seed=0)
-        estimates = follow(
-            tracker,
-            (Frame(k, image) for k, image in enumerate(clip.images)),
-            lambda image: first,
-            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5), clock=clip.fps))
-            if is_guided
-            else None,
-        )
-        boxes = np.array([item.estimate.box for item in estimates])
-        found[is_guided] = survives(boxes, clip.boxes, clip.visible, after=5)
-    assert found == {False: False, True: True}

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import ran, run
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -263,8 +263,7 @@ def test_body_and_head_are_those_of_the_skeleton(street: Path, tmp_path: Path) -
     """In the world, by the ray to each person, with boxes and without."""
     keypoints, out = as_openpose(tmp_path / "k"), tmp_path / "out.csv"
     common = "observe", street / "frames", "--homography", street / "homography.txt", "--fps", 5
-    done = run(*common, "--keypoints", keypoints, "--boxes", street / "boxes.txt", "-o", out)
-    assert done.returncode == 0, done.stderr
+    done = ran(*common, "--keypoints", keypoints, "--boxes", street / "boxes.txt", "-o", out)
     tracks = io.read_identified(out)
     assert len(tracks) == 2
     for track in tracks:
@@ -276,8 +275,7 @@ def test_body_and_head_are_those_of_the_skeleton(street: Path, tmp_path: Path) -
             assert np.abs(difference(found, angle)).max() < np.deg2rad(35.0)
             assert p.max() < 0.999
     alone = tmp_path / "alone.csv"
-    done = run(*common, "--keypoints", keypoints, "-o", alone, "--render", tmp_path / "drawn")
-    assert done.returncode == 0, done.stderr
+    done = ran(*common, "--keypoints", keypoints, "-o", alone, "--render", tmp_path / "drawn")
     assert "8 detections" in done.stderr and len(list((tmp_path / "drawn").iterdir())) == FRAMES
     table = pd.read_csv(alone)
     assert set(table["track_id"]) == {-1} and len(table) == 2 * FRAMES
@@ -295,8 +293,7 @@ def test_boxes_without_keypoints_say_nothing_and_are_counted(street: Path, tmp_p
     path = as_coco(tmp_path / "k.json")
     path.write_text(json.dumps([entry for entry in json.loads(path.read_text()) if entry["image_id"] != 2]))
     arguments = "observe", street / "frames", "--boxes", street / "boxes.txt", "-o", tmp_path / "out.csv"
-    done = run(*arguments, "--keypoints", path)
-    assert done.returncode == 0, done.stderr
+    done = ran(*arguments, "--keypoints", path)
     assert "2 of 8 boxes without keypoints" in done.stderr
     table = pd.read_csv(tmp_path / "out.csv")
     p = table[[f"head_p{k}" for k in range(12)]].to_numpy()

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import ran, run
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -79,8 +79,7 @@ def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
 def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "observations.csv"
     options = ["--boxes", clip / "boxes.txt", "--homography", clip / "homography.txt", "--fps", 5]
-    done = run("observe", clip / "frames", *options, "-o", out)
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", clip / "frames", *options, "-o", out)
     assert "6 person-frames in 1 track" in done.stderr
     assert not list(tmp_path.glob("*.journal"))
     track = gt.read(out).by_id(7)
@@ -131,8 +130,7 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
 3,8,-60000,-60000,120000,120000,1,-1,-1,-1
 """
     (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + more)
-    done = run("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
     for text in (
         "0003.png cannot be decoded",
         "inside the image",
@@ -142,14 +140,6 @@ def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: 
     ):
         assert text in done.stderr
     assert sorted(pd.read_csv(tmp_path / "out.csv")["frame"]) == [0, 1, 2, 4, 5]
-
-
-def test_boxes_that_cannot_be_used_are_one_line(clip: Path, tmp_path: Path) -> None:
-    line = "2,7,10,10,30,80,1,-1,-1,-1\n"
-    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + line)
-    done = run("observe", clip / "frames", "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
-    assert done.returncode == 2 and "line 7: found track 7 again in frame 2" in done.stderr
-    assert done.stderr.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
 
 
 def nobodys(clip: Path, folder: Path) -> Path:
@@ -204,8 +194,7 @@ def test_a_detection_depends_on_no_other_when_causal(long_clip: Path, tmp_path: 
 def test_looks_are_written_when_asked_for(clip: Path, tmp_path: Path, asked: bool) -> None:
     boxes = clip / "boxes.txt" if asked else nobodys(clip, tmp_path)
     option = "--appearance" if asked else "--no-appearance"
-    done = run("observe", clip / "frames", "--boxes", boxes, "--fps", 5, option, "-o", tmp_path / "o.csv")
-    assert done.returncode == 0, done.stderr
+    ran("observe", clip / "frames", "--boxes", boxes, "--fps", 5, option, "-o", tmp_path / "o.csv")
     columns = set(pd.read_csv(tmp_path / "o.csv").columns)
     assert ("appearance_0" in columns) == asked == ("score" not in columns)
 
@@ -236,8 +225,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     journal = tmp_path / "o.csv.journal"
     with journal.open("a") as stream:
         stream.write('{"frame": 77, "known": {"people": [{"frame": 77}], "refused": []}}\n')
-    done = run(*arguments)
-    assert done.returncode == 0, done.stderr
+    ran(*arguments)
     assert looked == ([0, 1, 2, 3, 3, 4, 5] if where == "observing" else [0, 1, 2, 3, 4, 5])
     assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
 
@@ -274,20 +262,6 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
     assert FrameSource.open(out).count == 6
 
 
-def test_a_video_of_images_of_two_sizes_is_refused_at_the_first(clip: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for k, path in enumerate(sorted((clip / "frames").iterdir())):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(folder / path.name), image if k < 4 else image[:200])
-    arguments = "observe", folder, "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv", "--render"
-    done = run(*arguments, tmp_path / "shown.mp4")
-    assert done.returncode == 2 and "frame 4 of 320 × 200 pixels, expected 320 × 240" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
-    assert run(*arguments, tmp_path / "shown").returncode == 0
-    assert len(drawn(tmp_path / "shown")) == 6
-
-
 def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cv2.imwrite(str(tmp_path / "0001.png"), np.full((200, 200, 3), 90, np.uint8))
     decoded = images_read(monkeypatch)
@@ -301,15 +275,13 @@ def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest
 def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered street of 8 frames, whose people have several candidates of the head."""
     folder = tmp_path_factory.mktemp("street") / "clip"
-    done = run("simulate", "-o", folder, "--frames", 8, "--seed", 12, "--images")
-    assert done.returncode == 0, done.stderr
+    ran("simulate", "-o", folder, "--frames", 8, "--seed", 12, "--images")
     return folder
 
 
 def rows_of(clip: Path, frames: Path, out: Path, *options: object) -> pd.DataFrame:
     given = ["--homography", clip / "homography.txt", "--fps", 5]
-    done = run("observe", frames, *given, *options, "-o", out)
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", frames, *given, *options, "-o", out)
     table = pd.read_json(StringIO(done.stdout), lines=True) if str(out) == "-" else pd.read_csv(out)
     return table.sort_values(["track_id", "frame", "u", "v"], ignore_index=True)
 
@@ -369,6 +341,8 @@ def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Pat
         (["--boxes", "boxes.txt", "--write-boxes", "again.txt"], "o.csv", "--write-boxes with --boxes"),
         (["--homography", "h.txt", "--calibration", "h.txt"], "o.csv", "--homography and --calibration"),
         (["--boxes", "det.txt"], "o.txt", "detections without identities"),
+        (["--boxes-first-frame", "1"], "o.csv", "--boxes-first-frame without --boxes"),
+        (["--models", "h.txt", "--body-pose-model", "h.txt"], "o.csv", "one of them"),
         (["--render", "seen.mp4"], "-", "--render with -o -"),
         (["--write-boxes", "b.txt"], "-", "--write-boxes with -o -"),
     ],

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.detection.boxes import Detections, boxes_of, read_boxes, write_boxes
 from perception.detection.hog import (
     CELL,
     ORIENTATIONS,
@@ -75,20 +74,3 @@ def test_an_empty_or_tiny_frame_has_no_people() -> None:
     for shape in ((288, 384, 3), (20, 20, 3)):
         found = detector.detect(np.full(shape, 90, np.uint8))
         assert found.boxes.shape == (0, 4) and found.scores.shape == (0,)
-
-
-def test_detections_are_written_without_identities(tmp_path: object) -> None:
-    found = {
-        4: Detections(np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.75])),
-        2: Detections(np.ones((2, 4)), np.array([0.5, 0.25])),
-    }
-    boxes = boxes_of(found)
-    assert [(item.frame, item.track_id, item.score) for item in boxes] == [
-        (2, 1, 0.5),
-        (2, 2, 0.25),
-        (4, 3, 0.75),
-    ]
-    path = f"{tmp_path}/boxes.txt"
-    write_boxes(boxes, path)
-    again = read_boxes(path)
-    assert again == boxes and not any(item.identified for item in again)

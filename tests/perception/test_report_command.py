@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run
+from command import ran, run
 from made_up_behaviour import standing
 from rerun_recordings import read_recording
 from street_files import write_street
@@ -58,8 +58,7 @@ def arguments(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) ->
 def reported(arguments: list[object], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a report, and the command's output."""
     folder = tmp_path_factory.mktemp("reported") / "out"
-    done = run("report", *arguments, "-o", folder)
-    assert done.returncode == 0, done.stderr
+    done = ran("report", *arguments, "-o", folder)
     return folder, done.stdout + done.stderr
 
 
@@ -99,8 +98,7 @@ def test_it_says_what_was_assumed(reported: tuple[Path, str]) -> None:
 def test_what_is_done_is_not_done_again(reported: tuple[Path, str], arguments: list[object]) -> None:
     folder, _ = reported
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    done = run("report", *arguments, "-o", folder)
-    assert done.returncode == 0
+    done = ran("report", *arguments, "-o", folder)
     assert (done.stdout + done.stderr).count("done before") == 7
     assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
 
@@ -110,12 +108,10 @@ def test_what_is_done_can_be_viewed(
 ) -> None:
     folder, _ = reported
     saved = tmp_path / "run.rrd"
-    done = run("report", *arguments, "-o", folder, "--view", "--save", saved)
-    assert done.returncode == 0, done.stderr
+    ran("report", *arguments, "-o", folder, "--view", "--save", saved)
     frames, boxes = arguments[0], arguments[2]
     again = tmp_path / "again.rrd"
-    done = run("view", folder, "--video", frames, "--boxes", boxes, "--save", again, program="graphtrack")
-    assert done.returncode == 0, done.stderr
+    ran("view", folder, "--video", frames, "--boxes", boxes, "--save", again, program="graphtrack")
     of_street = {(one.track_id, one.frame): one.box for one in street.boxes}
     for path in (saved, again):
         found = read_recording(path)
@@ -150,8 +146,7 @@ def test_a_run_that_breaks_off_goes_on(
     looked = breaking_off(monkeypatch, 9)
     run("report", *arguments, "-o", tmp_path / "out")
     assert not (tmp_path / "out" / "observations.csv").exists()
-    done = run("report", *arguments, "-o", tmp_path / "out")
-    assert done.returncode == 0
+    done = ran("report", *arguments, "-o", tmp_path / "out")
     assert "going on after 8 frames" in done.stdout + done.stderr
     assert looked == [*range(9), *range(8, 21)]
     assert {path.name for path in (tmp_path / "out").iterdir()} == EVERYTHING
@@ -177,8 +172,7 @@ def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
             return model
 
     monkeypatch.setattr(CameraModels, "load", lambda path: Learned())
-    done = run("report", *arguments, "-o", tmp_path / "out", "--method", method)
-    assert done.returncode == 0, done.stderr
+    ran("report", *arguments, "-o", tmp_path / "out", "--method", method)
     assert len(asked) == asks
 
 
@@ -186,8 +180,7 @@ def test_another_method_repeats_only_what_depends_on_it(
     reported: tuple[Path, str], arguments: list[object], tmp_path: Path
 ) -> None:
     shutil.copytree(reported[0], tmp_path / "out")
-    done = run("report", *arguments, "-o", tmp_path / "out", "--method", "particle")
-    assert done.returncode == 0, done.stderr
+    done = ran("report", *arguments, "-o", tmp_path / "out", "--method", "particle")
     assert (done.stdout + done.stderr).count("done before") == 4
     assert "estimates by `particle`" in (tmp_path / "out" / "assumptions.txt").read_text()
     first, second = (gt.read(folder) for folder in (reported[0], tmp_path / "out"))
@@ -198,8 +191,7 @@ def test_another_method_repeats_only_what_depends_on_it(
 def test_without_a_camera_or_a_view_that_tells_there_is_a_scale(
     arguments: list[object], tmp_path: Path
 ) -> None:
-    done = run("report", *arguments[:3], "--fps", FPS, "-o", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    ran("report", *arguments[:3], "--fps", FPS, "-o", tmp_path / "out")
     assumed = (tmp_path / "out" / "assumptions.txt").read_text()
     assert "no camera is known" in assumed and "pixels times a scale" in assumed
     assert "no ground is known" in assumed
@@ -338,8 +330,7 @@ def test_what_is_learned_is_learned_once(
     monkeypatch.setattr(learning, "thinned", lambda labels, _: labels)
     monkeypatch.setattr(learning, "AdaptationParameters", lambda: quick)
     assert run("adapt", *arguments, "-o", tmp_path / "camera.npz").returncode == 0
-    done = run("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
-    assert done.returncode == 0, done.stderr
+    done = ran("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
     looked = breaking_off(monkeypatch, 5)
     for _ in range(2):
         done = run("observe", *arguments, "--adapt", "-o", tmp_path / "at_once.csv")

@@ -10,13 +10,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command import run
+from hypothesis import given
+from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
+from perception.experiments.head_trackers import heads_of, slower
 from perception.experiments.sigma_pi_runs import Tally, recordings
-from perception.images.pixels import Image
-from perception.synthetic.ceiling import KINDS, ceiling_sequence
+from perception.images.pixels import Image, enlarged
+from perception.trackers import color, sigma_pi_cues
 from perception.trackers.sigma_pi import SigmaPiTracker
-from perception.trackers.sigma_pi_cues import ShapeCue
+from perception.trackers.sigma_pi_cues import (
+    ShapeCue,
+    ViewCue,
+    activation,
+    descriptors,
+    integral,
+    overlap,
+    sums,
+)
 from perception.trackers.sigma_pi_network import (
     CUES,
     TERM_NAMES,
@@ -25,7 +37,7 @@ from perception.trackers.sigma_pi_network import (
     output,
     products,
 )
-from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, states_of
+from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, Proposal, predict, states_of
 
 SIZE = (200, 150)
 TARGET = (32, 36)
@@ -168,35 +180,12 @@ def test_a_black_video_has_nobody_in_it() -> None:
     assert np.isfinite(estimates[-1].box).all() and estimates[-1].weights.sum() == pytest.approx(1.0)
 
 
-def test_frames_of_another_size_and_steps_without_a_start_are_refused() -> None:
-    tracker = SigmaPiTracker(seed=0)
+def test_a_step_without_a_start_and_bad_parameters_are_refused() -> None:
     with pytest.raises(InputError, match="start"):
-        tracker.step(ROOM)
-    tracker.start(ROOM, None)
-    with pytest.raises(InputError, match="200 × 150"):
-        tracker.step(ROOM[:100])
-    with pytest.raises(InputError, match="particles"):
-        SigmaPiParameters(particles=0)
-    with pytest.raises(InputError, match="smell"):
-        SigmaPiParameters(cues=("smell",))
-
-
-def test_somebody_who_comes_into_a_rendered_room_is_found() -> None:
-    sequence = ceiling_sequence(
-        KINDS["person moving 1"], np.random.default_rng(0), frames=50, empty=8, oversampling=1
-    )
-    tracker = SigmaPiTracker(seed=0)
-    good = []
-    for k, frame in enumerate(sequence):
-        estimate = tracker.step(frame.image) if k else tracker.start(frame.image, None)
-        box = None if frame.target is None else frame.target.body_box
-        if box is None:
-            assert not estimate.found
-        else:
-            left, top, width, height = box
-            x, y = estimate.centre
-            good.append(estimate.found and left < x < left + width and top < y < top + height)
-    assert np.mean(good[15:]) > 0.9
+        SigmaPiTracker(seed=0).step(ROOM)
+    for wrong, said in (({"particles": 0}, "particles"), ({"cues": ("smell",)}, "smell")):
+        with pytest.raises(InputError, match=said):
+            SigmaPiParameters(**wrong)
 
 
 def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
@@ -283,3 +272,195 @@ def test_the_printed_form_assigns_5_per_cent_to_random_places_also_when_nobody_i
         # A particle that was assigned to a place has no step behind it in its place.
         moved.append((tracker._cloud.now[:, :2] == tracker._cloud.before[:, :2]).all(axis=1).mean())
     assert np.mean(moved) == pytest.approx(share, abs=0.02)
+
+
+def test_sums_over_windows_are_direct_sums() -> None:
+    rng = np.random.default_rng(0)
+    saliency = rng.random((40, 60)).astype(np.float32)
+    windows = np.column_stack([rng.integers(-20, 70, (200, 2)), rng.integers(1, 50, (200, 2))]).astype(float)
+    found = sums(integral(saliency), windows)
+    for (left, top, width, height), value in zip(windows.astype(int), found, strict=True):
+        rows = slice(max(top, 0), max(top + height, 0))
+        columns = slice(max(left, 0), max(left + width, 0))
+        assert value == pytest.approx(saliency[rows, columns].sum(dtype=float), abs=1e-4)
+
+
+def test_the_window_that_fits_a_thing_overlaps_most() -> None:
+    saliency = np.zeros((100, 100), np.float32)
+    saliency[30:60, 40:70] = 1.0
+    table = integral(saliency)
+    rng = np.random.default_rng(0)
+    fitting = np.array([[40.0, 30.0, 30.0, 30.0]])
+    others = fitting + np.rint(rng.normal(0.0, 6.0, (300, 4)))
+    others = others[(np.abs(others - fitting) > 0.5).any(axis=1)]
+
+    def fit(windows: np.ndarray) -> np.ndarray:
+        within = sums(table, windows)
+        return overlap(within, sums(table, enlarged(windows, 3.0)) - within, windows[:, 2] * windows[:, 3])
+
+    assert fit(fitting)[0] == 1.0
+    assert fit(others).max() < 1.0
+
+
+@given(st.floats(0.05, 0.95), st.floats(0.01, 0.3))
+def test_an_activation_rises_from_0_to_1(middle: float, width: float) -> None:
+    values = activation(np.linspace(-0.5, 1.5, 41), middle, width)
+    assert values[0] == 0.0 and values[10] == 0.0 and values[-1] == 1.0
+    assert (np.diff(values) >= 0.0).all()
+
+
+def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(float)
+    hues, saturations, values = color.BINS
+    expected = np.floor(hsv[..., 0] / 180 * hues) * saturations * values
+    expected += np.floor(hsv[..., 1] / 256 * saturations) * values + np.floor(hsv[..., 2] / 256 * values)
+    np.testing.assert_array_equal(color.pixel_bins(image), expected)
+
+
+def test_back_projection_finds_the_colour_of_the_target() -> None:
+    image = np.full((60, 80, 3), (120, 130, 125), np.uint8)
+    image[20:40, 30:50] = (40, 40, 200)
+    inside = np.zeros((60, 80), np.float32)
+    inside[20:40, 30:50] = 1.0
+    numbers = color.pixel_bins(image)
+    target, background = (
+        color.weighed_histogram(numbers, inside),
+        color.weighed_histogram(numbers, 1.0 - inside),
+    )
+    assert target.sum() == pytest.approx(1.0) and background.sum() == pytest.approx(1.0)
+    share = color.target_share(target, background, 3.0)[numbers]
+    assert share[inside > 0.0].min() > 0.95 and share[inside == 0.0].max() < 0.05
+    assert color.weighed_histogram(numbers, 0.0 * inside).sum() == 0.0
+
+
+def test_features_match_themselves_after_a_shift_of_the_image() -> None:
+    picture = cv2.GaussianBlur(np.random.default_rng(0).normal(128, 90, (120, 160)), (0, 0), 2.0)
+    grey = np.clip(128 + 6 * (picture - 128), 0, 255).astype(np.uint8)
+    sift = cv2.SIFT_create()  # type: ignore[attr-defined]
+    still, moved = (
+        sigma_pi_cues.detect(sift, grey[:100, :140]),
+        sigma_pi_cues.detect(sift, grey[8:108, 12:152]),
+    )
+    assert len(still.points) > 20
+    np.testing.assert_allclose(np.linalg.norm(still.descriptors, axis=1), 1.0, atol=1e-5)
+    match = (moved.descriptors @ still.descriptors.T).argmax(axis=1)
+    shift = still.points[match] - moved.points
+    assert np.mean(np.abs(shift - [12, 8]).max(axis=1) < 1.5) > 0.6
+    assert np.mean(sigma_pi_cues.similarity(moved.descriptors, still.descriptors) >= 0.9) > 0.6
+    assert len(sigma_pi_cues.detect(sift, np.zeros((50, 50), np.uint8)).points) == 0
+
+
+LOBBY_SIZE = (160, 120)
+
+
+def texture(width: int, height: int, level: float, grain: float, seed: int) -> np.ndarray:
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, (height, width)), (0, 0), grain)
+    return np.clip(level + 20.0 * noise / noise.std(), 0, 255)
+
+
+LOBBY, STANDS, WALKS = (
+    texture(*LOBBY_SIZE, 120, 6, 0),
+    texture(24, 16, 100, 1.5, 1),
+    texture(24, 16, 150, 1.5, 2),
+)
+BOX: Box = (40.0, 60.0, 24.0, 16.0)
+
+
+def lobby(k: int, seed: int = 0) -> np.ndarray:
+    """A person who stands from the first frame on, and a person of the same colours who passes closely."""
+    grey = LOBBY.copy()
+    grey[60:76, 40:64] = STANDS
+    left = 4 * k - 30
+    lo, hi = max(left, 0), min(left + 24, LOBBY_SIZE[0])
+    if hi > lo:
+        grey[78:94, lo:hi] = WALKS[:, lo - left : hi - left]
+    grey = grey + np.random.default_rng([seed, k]).normal(0, 2, grey.shape)
+    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def on(box: Box, label: Box = BOX) -> bool:
+    x, y = box[0] + box[2] / 2.0, box[1] + box[3] / 2.0
+    return bool(label[0] <= x <= label[0] + label[2] and label[1] <= y <= label[1] + label[3])
+
+
+def test_who_stands_from_the_first_frame_on_is_held_though_somebody_passes() -> None:
+    held = []
+    for seed in range(3):
+        tracker = SigmaPiTracker(seed=seed)
+        tracker.start(lobby(0), BOX)
+        found = [tracker.step(lobby(k, seed)) for k in range(1, 60)]
+        held += [one.found and on(one.box) for one in found]
+    assert np.mean(held) > 0.98
+
+
+def test_views_are_liker_the_person_than_what_is_beside_and_blank_walls() -> None:
+    image = lobby(0)
+    cue = ViewCue.of(image, np.array(BOX))
+    assert cue is not None
+    cue.look(lobby(1))
+    left, top, width, height = BOX
+    aside = np.array(
+        [(left + dx * width, top + dy * height, width, height) for dx, dy in ((0.5, 0), (0, 0.5))]
+    )
+    activity = cue.activity(np.vstack([[BOX], aside]))
+    assert activity[0] > 0.9 > 0.1 > activity[1:].max()
+    cue.look(np.full((*LOBBY_SIZE[::-1], 3), 120, np.uint8))
+    assert cue.gain(np.array([BOX]))[0] < 0.1
+
+
+def test_the_first_view_is_never_forgotten_and_known_ones_are_not_added() -> None:
+    cue = ViewCue(lobby(0), np.array(BOX))
+    cue.look(lobby(1))
+    for _ in range(5):
+        cue.adapt(np.array(BOX))
+    assert not cue._later
+    for k in range(15):
+        cue.look(np.repeat(texture(*LOBBY_SIZE, 120, 2, 10 + k).astype(np.uint8)[..., None], 3, axis=2))
+        cue.adapt(np.array(BOX))
+    assert len(cue._later) == 10
+    cue.look(lobby(1))
+    assert cue.gain(np.array([BOX]))[0] > 0.8
+
+
+def test_boxes_that_are_too_small_or_blank_have_no_view() -> None:
+    assert ViewCue.of(lobby(0), np.array([40.0, 60.0, 24.0, 8.0])) is None
+    assert ViewCue.of(np.full((120, 160, 3), 90, np.uint8), np.array(BOX)) is None
+    lengths = np.linalg.norm(descriptors(lobby(0)[..., 0], np.array([BOX, (0.0, 0.0, 30.0, 30.0)])), axis=1)
+    assert (lengths <= 1.0 + 1e-6).all() and lengths[0] > 0.8
+
+
+@pytest.mark.parametrize("box", [None, BOX])
+def test_views_change_nothing_for_people_whom_nobody_shows(box: Box | None) -> None:
+    ends = []
+    for views in (True, False):
+        tracker = SigmaPiTracker(SigmaPiParameters(views=views), seed=0)
+        tracker.start(lobby(0), box)
+        ends.append([tracker.step(lobby(k)).box for k in range(1, 10)][-1])
+    assert (ends[0] == ends[1]) == (box is None)
+
+
+def test_in_too_small_a_box_motion_keeps_its_reliability() -> None:
+    tracker = SigmaPiTracker(seed=0)
+    tracker.start(lobby(0), (40.0, 60.0, 10.0, 8.0))
+    found = [tracker.step(lobby(k)) for k in range(1, 12)]
+    assert {one.cues["reliability motion"] for one in found} == {1.0}
+    assert len({one.cues["reliability colour"] for one in found}) > 1
+
+
+def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Town Centre"):
+        heads_of(tmp_path, 1)
+    assert run("evaluate", "heads", "--data", str(tmp_path)).returncode == 2
+
+
+def test_slower_motion_is_that_of_many_steps() -> None:
+    dynamics = BoxDynamics(size_std=0.0, size_persistence=0.0, reversion=0.0)
+    n = 20_000
+    start = np.tile([0.0, 0.0, 0.0, 0.0], (n, 1))
+    cloud = Cloud(start, start, np.full(n, 1.0 / n))
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        cloud = predict(cloud, np.zeros(2), dynamics, rng)
+    once = predict(Cloud(start, start, np.full(n, 1.0 / n)), np.zeros(2), slower(dynamics, 10), rng)
+    assert once.now[:, 0].std() == pytest.approx(cloud.now[:, 0].std(), rel=0.05)

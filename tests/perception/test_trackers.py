@@ -178,16 +178,6 @@ def test_every_tracker_has_its_papers_parameters(name: str) -> None:
             make_tracker(name, background=[image])
 
 
-@pytest.mark.slow
-def test_a_wall_hides_the_head_and_the_tracker_says_so() -> None:
-    parameters = HeadClipParameters(frames=34, clutter=0.0, occlusion=(12, 10))
-    hidden = head_clip(np.random.default_rng(11), parameters)
-    found = followed(MAKE["mixed-state"](seed=0, particles=80), hidden)
-    confidence = np.array([item.confidence for item in found])
-    assert confidence[:10].min() > 0.5
-    assert confidence[np.flatnonzero(hidden.visible < 0.05)[5:]].mean() < 0.5
-
-
 # -- how they are judged -----------------------------------------------------------------------------------
 
 

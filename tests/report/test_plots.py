@@ -6,14 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_up import ERRORS, observed, walker
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import wrap
-from graphtrack.report.plots import plot_angles, plot_errors, plot_tracks
+from graphtrack.geometry.angles import difference, wrap
+from graphtrack.interaction.attention import Attention, attention
+from graphtrack.interaction.groups import groups
+from graphtrack.report.plots import plot_angles, plot_errors, plot_reliability, plot_tracks
+from graphtrack.report.plots.interaction import plot_group_timeline, plot_look_timeline
 from graphtrack.report.plots.scene import CROWD
+from graphtrack.report.style import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -186,16 +192,16 @@ def test_tables_that_lack_something_are_refused():
         plot_errors([{**ERRORS[0], "median": "much"}])
 
 
-def test_matplotlib_is_not_loaded_before_it_is_needed():
-    code = "import graphtrack.report, sys; print('matplotlib' in sys.modules)"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.strip() == "False"
-
-
-def test_pyplot_stays_untouched():
-    code = "from graphtrack.report import page, plots; import sys; print('matplotlib.pyplot' in sys.modules)"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.strip() == "False"
+@pytest.mark.parametrize(
+    ("code", "module"),
+    [
+        ("import graphtrack.report", "matplotlib"),
+        ("from graphtrack.report import plots", "matplotlib.pyplot"),
+    ],
+)
+def test_what_pictures_need_is_loaded_late(code, module):
+    code += f"; import sys; assert {module!r} not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def walkers_along(count, step):
@@ -217,3 +223,140 @@ def test_of_a_crowd_only_paths_are_drawn():
     assert len(few.axes[0].texts) == CROWD and few.axes[0].collections
     assert len(crowd.axes[0].lines) == CROWD + 1
     assert not crowd.axes[0].texts and not crowd.axes[0].collections
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.95])
+def test_the_ellipse_holds_its_share_of_a_gaussian(probability):
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(2, 2))
+    covariance = root @ root.T
+    major, minor, angle = probability_ellipse(covariance, probability)
+    samples = rng.multivariate_normal([0, 0], covariance, 40_000)
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = samples @ [c, s], samples @ [-s, c]
+    share = np.mean((along / major) ** 2 + (across / minor) ** 2 <= 1.0)
+    assert share == pytest.approx(probability, abs=0.01)
+
+
+def test_the_ellipse_turns_with_the_covariance():
+    turn = 0.7
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    major, minor, angle = probability_ellipse(rotation @ np.diag([9.0, 1.0]) @ rotation.T)
+    assert [major / minor, angle] == pytest.approx([3.0, turn])
+    assert np.isnan(probability_ellipse(np.full((2, 2), np.nan)).semi_major)
+
+
+angle_lists = st.lists(st.one_of(st.floats(-3.14, 3.14), st.just(float("nan"))), min_size=1, max_size=30)
+
+
+@given(angle_lists)
+def test_a_broken_curve_has_no_segment_longer_than_half_a_turn_and_keeps_its_samples(angles):
+    angle = np.array(angles)
+    t = np.arange(len(angle), dtype=float)
+    cut_t, cut = break_at_seam(t, angle)
+    steps = np.abs(np.diff(cut))
+    assert np.all(steps[np.isfinite(steps)] <= np.pi + 1e-9)
+    assert np.all(np.diff(cut_t) >= 0.0)
+    kept = np.isin(cut_t, t) & (np.abs(cut) < np.pi)
+    assert set(angle[np.isfinite(angle)]) <= set(cut[kept])
+
+
+def test_a_curve_meets_the_edge_where_the_straight_path_does():
+    t, angle = break_at_seam(np.array([0.0, 1.0]), np.array([np.pi - 0.1, -np.pi + 0.3]))
+    assert t == pytest.approx([0.0, 0.25, 0.25, 0.25, 1.0])
+    assert angle[[1, 3]] == pytest.approx([np.pi, -np.pi])
+    assert np.isnan(angle[2])
+
+
+@given(st.floats(-9.0, 9.0), st.floats(-3.0, 3.0), st.floats(0.01, 5.0))
+def test_a_band_covers_what_is_within_its_half_width_and_nothing_else(start, rate, half):
+    t = np.linspace(0.0, 3.0, 61)
+    bands = angle_bands(t, wrap(start + rate * t), np.full(len(t), half))
+    assert all(np.abs([band.lower, band.upper]).max() <= np.pi for band in bands)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        # At sample times, a little off the edges, where rounding decides.
+        i, offset = rng.integers(len(t)), rng.uniform(-np.pi, np.pi)
+        if abs(abs(offset) - min(half, np.pi)) < 0.01:
+            continue
+        angle = float(wrap(start + rate * t[i] + offset))
+        covered = any(
+            np.any(
+                np.isclose(band.t, t[i])
+                & (band.lower <= angle)
+                & (angle <= band.upper)
+                & (band.upper > band.lower)
+            )
+            for band in bands
+        )
+        assert covered == (abs(difference(angle, start + rate * t[i])) <= half)
+
+
+def test_runs_and_holes():
+    assert finite_runs(np.array([True, True, False, True])) == [slice(0, 2), slice(3, 4)]
+    t = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
+    opened_t, values = open_holes(t, np.ones(5))
+    assert np.isnan(values).tolist() == [False, False, False, True, False, False]
+    assert opened_t[3] == pytest.approx(2.6)
+    assert np.all(np.diff(opened_t) > 0)
+
+
+def pair(seconds: float = 20.0) -> TrackSet:
+    frame = np.arange(int(2 * seconds), dtype=np.int64)
+
+    def still(one: int, x: float, head: float) -> Track:
+        place = np.tile([x, 0.0], (len(frame), 1))
+        return Track(
+            one, frame, 0.5 * frame, place, head=np.full(len(frame), head), body=np.full(len(frame), head)
+        )
+
+    return TrackSet((still(1, 0.0, 0.0), still(2, 1.0, np.pi)))
+
+
+def looking(tracks: TrackSet, share: float) -> list[Attention]:
+    """Each person looks at the other with this probability, else at nothing."""
+    made = []
+    for one in attention(tracks):
+        probability = np.zeros_like(one.probability)
+        probability[:, 0], probability[:, -1] = share, 1.0 - share
+        made.append(replace(one, probability=probability))
+    return made
+
+
+def legends_inside(figure) -> list[bool]:
+    figure.canvas.draw()
+    return [
+        axes.get_window_extent().overlaps(axes.get_legend().get_window_extent())
+        for axes in figure.axes
+        if axes.get_legend() is not None
+    ]
+
+
+@pytest.mark.parametrize("methods", [1, 2, 6])
+def test_the_legend_of_reliability_covers_no_curve(methods: int) -> None:
+    shares = np.linspace(0.05, 0.95, 19)
+    rows = [
+        {"method": f"method {k}", "quantity": q, "nees": 1.0, "confidence": shares, "coverage": shares**0.1}
+        for k in range(methods)
+        for q in ("position", "velocity", "body")
+    ]
+    inside = legends_inside(plot_reliability(rows))
+    assert len(inside) == 3 and not any(inside)
+
+
+def test_the_timeline_of_looks_spans_the_recording() -> None:
+    tracks = pair()
+    found = looking(tracks, 0.9)
+    for one in found:
+        # Both look at each other for a moment in the middle only.
+        late = np.abs(np.arange(len(one.t)) - 20) > 2
+        one.probability[late] = 0.0
+        one.probability[late, -1] = 1.0
+    low, high = plot_look_timeline(found).axes[0].get_xlim()
+    assert low <= 0.0 and high >= tracks.by_id(1).t[-1] and high - low < 1.1 * tracks.by_id(1).t[-1] + 1.0
+
+
+def test_the_timeline_of_groups_spans_the_recording() -> None:
+    found = groups(pair())
+    low, high = plot_group_timeline(found, ()).axes[0].get_xlim()
+    assert (low, high) == (found.t.min(), found.t.max())

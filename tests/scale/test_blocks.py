@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import ran, run
 from crossing_people import idf1, packed_square
 
 import graphtrack as gt
@@ -104,8 +104,7 @@ def test_the_command_associates_and_smooths_what_has_no_identities(
     model, output = tmp_path / "model.toml", tmp_path / "smoothed.parquet"
     gt.Model("position", scene=KNOWN).save(model)
     options = ("-o", output, "--model", model, "--batch-frames", 400)
-    done = run("smooth", folder, *options, program="graphtrack")
-    assert done.returncode == 0, done.stderr
+    done = ran("smooth", folder, *options, program="graphtrack")
     outcome = associate_dataset(folder, tmp_path / "found.parquet", KNOWN, block_rows=400)
     detections, blocks = f"{outcome.n_detections} detections", f"{outcome.blocks} blocks"
     assert f"associated {detections} in {blocks}: {outcome.people} tracks" in done.stdout + done.stderr

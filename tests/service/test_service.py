@@ -245,8 +245,7 @@ TOKEN_FILE = ("--token-file", "token")
         (TOKEN_FILE, b"x" * 5000, "error: token: found more than 4096 bytes"),
     ],
 )
-def test_what_cannot_be_served_is_told(options, token, said, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_cannot_be_served_is_told(options, token, said, cwd):
     Path("token").write_bytes(token)
     done = run("serve", *OPTIONS, *options, program="graphtrack")
     assert done.returncode == 2 and said in done.stderr

@@ -30,6 +30,13 @@ def run(*arguments: object, program: str = "perception") -> Done:
     return Done(int(end.value.code or 0), out.getvalue(), err.getvalue())
 
 
+def ran(*arguments: object, program: str = "perception") -> Done:
+    """Run a program's command line, which must succeed."""
+    done = run(*arguments, program=program)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
 TRACK_STREAM = [sys.executable, "-c", "from graphtrack.cli import main; main()", "track", "-"]
 
 _SAID = re.compile(

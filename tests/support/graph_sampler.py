@@ -7,13 +7,13 @@ number of particles grows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 from von_mises import von_mises_product
 
-from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
+from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.model import CouplingParameters, Parameters
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -121,17 +121,6 @@ def sample_graph(
             )
         )
     return TrackSet(tuple(tracks))
-
-
-def coupling_cost(velocity: FloatArray, angles: FloatArray, t: FloatArray, parameters: Parameters) -> float:
-    """Cost of Chen et al.'s second coupling along a course, per unit of κ₂."""
-    weights = parameters.coupling.weights(np.diff(t, prepend=t[0]))
-    return float(np.sum(np.array(weights) * (1.0 - np.cos(difference(angles[1], angles[0])))))
-
-
-def with_head_kappa(parameters: Parameters, kappa: float) -> Parameters:
-    """The same with another κ₂."""
-    return replace(parameters, coupling=replace(parameters.coupling, head_body_kappa=kappa))
 
 
 COUPLED = CouplingParameters(12.0, 0.2, 4.0, 0.3)

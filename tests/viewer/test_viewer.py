@@ -212,9 +212,8 @@ def test_a_viewer_elsewhere_is_connected_to_without_reruns_own_log(monkeypatch):
     ],
 )
 def test_what_cannot_be_shown_is_one_error(
-    options: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    options: tuple[str, ...], said: str, cwd: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(recording.sys, "platform", "linux")
@@ -222,7 +221,7 @@ def test_what_cannot_be_shown_is_one_error(
     done = run("view", "tracks.csv", *options, program="graphtrack")
     errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     assert done.returncode == 2 and len(errors) == 1 and said in errors[0]
-    assert not list(tmp_path.glob("run*"))
+    assert not list(cwd.glob("run*"))
 
 
 def test_a_window_is_that_of_the_package_with_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:

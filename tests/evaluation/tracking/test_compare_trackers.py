@@ -10,7 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from command import Done, run
+from command import Done, ran, run
 
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
@@ -244,14 +244,12 @@ def test_walkers_in_pairs_keep_side_by_side() -> None:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(cwd: Path) -> Path:
     """A folder with detections and their truth."""
-    monkeypatch.chdir(tmp_path)
     gt.write(crowd(np.random.default_rng(3), seconds=30.0), "exact.csv")
     line = "add-noise exact.csv -o detections.csv --truth-output truth.csv --position-noise 0.1 --missed 0.1"
-    done = run(*line.split(), "--clutter", 1, "--anonymous", program="graphtrack")
-    assert done.returncode == 0, done.stderr
-    return tmp_path
+    ran(*line.split(), "--clutter", 1, "--anonymous", program="graphtrack")
+    return cwd
 
 
 def compare(*more: str) -> Done:
@@ -311,19 +309,3 @@ def test_detections_of_a_detector_have_its_boxes_in_the_order_of_time(tmp_path: 
     found, _ = read_detections(tmp_path / "det.txt", None, ReadOptions(metres_per_pixel=0.01, fps=10.0))
     np.testing.assert_array_equal(found.frame, [1, 2])
     np.testing.assert_array_equal(found.channels["box"], [[10, 20, 10, 20], [30, 40, 10, 20]])
-
-
-@pytest.mark.slow
-def test_real_people_are_followed_by_the_baseline_and_better_by_association(data_dir: Path) -> None:
-    """A third of the crowd at Zara, with the detection noise of docs/tracking.md."""
-    rng = np.random.default_rng(0)
-    faults = Detector(0.15, 0.5, 2.0, 1.0, "fixed")
-    exact = gt.read(data_dir / "ucy" / "zara01" / "annotation.vsp")
-    early = [track for track in exact if track.t[-1] < 120.0]
-    found = detect(exact.with_tracks(early), faults, every=0.4, position_std=0.1, rng=rng)
-    table = found.anonymous(rng)
-    position = np.column_stack([table["x"], table["y"]])
-    detections = Detections(table["frame"], table["t"], position)
-    results = compare_trackers(detections, found.truth, OWN).results
-    *online, offline = (one.score.idf1 for one in results)
-    assert min(online) > 0.8 and max(online) < offline and offline > 0.9

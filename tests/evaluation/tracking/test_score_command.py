@@ -24,8 +24,7 @@ def mot(ids=(1, 2), confidence=1, left=0):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def here(cwd):
     files = {
         "truth.csv": table(),
         "one.csv": table(ids=(1,)),
@@ -43,10 +42,10 @@ def here(tmp_path, monkeypatch):
         "other/a.csv": table(),
     }
     for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    (tmp_path / "empty").mkdir()
-    return tmp_path
+        (cwd / name).parent.mkdir(exist_ok=True)
+        (cwd / name).write_text(text)
+    (cwd / "empty").mkdir()
+    return cwd
 
 
 def run(*arguments):
@@ -123,11 +122,6 @@ def test_boxes_of_town_centre(here):
 
 WRONG = {
     "no truth": ("one.csv", "Missing option '--truth'"),
-    "both demands": ("one.csv --truth truth.csv --metres 1 --iou 0.5", "metres and iou"),
-    "no distance": ("one.csv --truth truth.csv --metres 0", "metres = 0"),
-    "a negative distance": ("one.csv --truth truth.csv --metres -2", "metres = -2"),
-    "no number": ("one.csv --truth truth.csv --metres nan", "metres = nan"),
-    "an overlap above 1": ("boxes.txt --truth truth.txt --iou 2", "iou = 2"),
     "no boxes": ("one.csv --truth truth.txt --iou 0.5", "the format csv, which has no boxes"),
     "no frame in common": ("later.csv --truth truth.csv", "no frame in common"),
     "a truth without identities": (
