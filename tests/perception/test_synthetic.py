@@ -391,14 +391,6 @@ def test_clutter_has_the_colours_of_the_person() -> None:
     assert shares[0] == 0.0 and shares[1] > 0.01
 
 
-@pytest.mark.parametrize(
-    "change", [{"frames": 0}, {"clutter": -1.0}, {"occlusion": (0, 5)}, {"occlusion": (90, 25)}]
-)
-def test_what_cannot_be_rendered_is_refused(change: dict[str, object]) -> None:
-    with pytest.raises(InputError):
-        HeadClipParameters(**change)  # type: ignore[arg-type]
-
-
 def test_an_occlusion_too_long_for_the_image_is_refused() -> None:
     with pytest.raises(InputError, match="walk behind"):
         head_clip(np.random.default_rng(0), replace(QUIET_CLIP, frames=400, occlusion=(20, 370)))

@@ -94,22 +94,6 @@ def test_tracks_are_the_arrays_in_seconds() -> None:
     assert len(set(ids)) == 10
 
 
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
-        ({"tracks": 0}, "tracks"),
-        ({"steps": 100}, "100 steps"),
-        ({"speed": 0.0}, "speed"),
-        ({"head_std": -1.0}, "head_std"),
-        ({"turn_steps": (3, 3)}, "turn_steps"),
-        ({"turn_steps": (0, 1, 1, 1, 1, 1)}, "turn_steps"),
-    ],
-)
-def test_parameters_out_of_range(wrong: dict[str, object], named: str) -> None:
-    with pytest.raises(InputError, match=named):
-        CorpusParameters(**wrong)  # type: ignore[arg-type]
-
-
 def test_no_such_behaviour_and_rate() -> None:
     with pytest.raises(InputError, match="behaviour 7"):
         simulate_behaviour(7, rng=np.random.default_rng(0))

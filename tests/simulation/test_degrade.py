@@ -314,22 +314,6 @@ def test_sampling_goes_straight_on_between_rows_and_the_shorter_way_round() -> N
     assert track.label == "one" and "1 track between them left out" in found.summary.notes[-1]
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"missed": 1.5},
-        {"occluded_share": -0.1},
-        {"occluded_seconds": float("nan")},
-        {"clutter": -1.0},
-        {"clutter_count": "some"},
-        {"clutter": 1.5, "clutter_count": "fixed"},
-    ],
-)
-def test_impossible_faults_are_refused(bad: dict) -> None:
-    with pytest.raises(InputError):
-        Detector(**bad)
-
-
 @pytest.mark.parametrize("every", [0.0, -1.0, float("inf"), 1e-12])
 def test_impossible_times_are_refused(every: float) -> None:
     with pytest.raises(InputError, match="every"):
