@@ -1,4 +1,4 @@
-"""`graphtrack fit` from file to file."""
+"""`graphtrack fit` of models and of scenes, from file to file."""
 
 from __future__ import annotations
 

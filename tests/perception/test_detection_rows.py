@@ -1,4 +1,4 @@
-"""Rows of detections that are made some frames at a time are those of tracks; journals keep nothing open."""
+"""Rows of detections that are made some frames at a time are those of tracks; journals of frames."""
 
 from __future__ import annotations
 

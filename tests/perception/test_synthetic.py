@@ -1,4 +1,4 @@
-"""Rendered pictures against geometry that was worked out otherwise."""
+"""Rendered pictures, rooms under a ceiling camera and moving heads against other geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Added noise has the declared statistics; withheld windows are at turns."""
+"""Added noise, simulated classifiers and detectors have their statistics; windows are at turns."""
 
 from __future__ import annotations
 
