@@ -86,8 +86,9 @@ def test_the_defaults_of_presets_that_differ_are_named():
     assert set(found) == set(presets)
     motion_of = {name: default_parameters(name).motion for name in presets}
     for name, parameters in motion_of.items():
-        differs = parameters.lasting_std != Parameters().motion.lasting_std
-        assert (f"`motion.lasting_std` = {parameters.lasting_std:g}" in found[name]) == differs
+        density = parameters.acceleration_density
+        differs = density != Parameters().motion.acceleration_density
+        assert (f"`motion.acceleration_density` = {density:g}" in found[name]) == differs
     assert found["separate"] == "–"
 
 

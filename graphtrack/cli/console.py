@@ -203,21 +203,33 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     if not rows:
         return
     table = Table(title=printable(title), title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
-    for key, first in rows[0].items():
-        words = [word for row in rows for word in _cell(row[key]).split()] + printable(key).split()
-        table.add_column(
-            printable(key),
-            justify="left" if isinstance(first, str) else "right",
-            vertical="top",
-            min_width=max(map(cell_len, words), default=0),
-        )
-    for row in rows:
-        table.add_row(*(_cell(row[key]) for key in rows[0]))
+    columns = [[printable(key), *(_cell(row[key]) for row in rows)] for key in rows[0]]
     to = PlainConsole()
-    width = to.width if to.is_terminal else WIDE
-    needed = sum(column.min_width or 0 for column in table.columns) + len(table.columns) - 1
-    PlainConsole(width=max(width, needed)).print(table)
+    available = (to.width if to.is_terminal else WIDE) - len(columns) + 1
+    widths = column_widths(columns, available)
+    for (heading, *_), first, width in zip(columns, rows[0].values(), widths, strict=True):
+        table.add_column(
+            heading, justify="left" if isinstance(first, str) else "right", vertical="top", width=width
+        )
+    for cells in zip(*(cells for _, *cells in columns), strict=True):
+        table.add_row(*cells)
+    PlainConsole(width=max(available, sum(widths)) + len(columns) - 1).print(table)
     to.print()
+
+
+def column_widths(columns: Sequence[Sequence[str]], available: int) -> list[int]:
+    """Return the widths of columns of text, at most ``available`` together if no word is to be cut.
+
+    The widest column that can be wrapped between words is narrowed first.
+    """
+    widths = [max(map(cell_len, cells), default=0) for cells in columns]
+    words = [max((cell_len(word) for cell in cells for word in cell.split()), default=0) for cells in columns]
+    while sum(widths) > available:
+        wider = [k for k, width in enumerate(widths) if width > words[k]]
+        if not wider:
+            break
+        widths[max(wider, key=widths.__getitem__)] -= 1
+    return widths
 
 
 def _cell(value: Any) -> str:

@@ -12,6 +12,7 @@ Every method at its own best parameters, and the one-step predictions by which t
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -325,6 +326,10 @@ class Panel:
     least: float | None = None
 
 
+TITLE_LENGTH = 32
+"""Characters in a line of a panel's title, which else would reach beyond the panel."""
+
+
 def page(panels: Sequence[Panel], columns: int = 3) -> Figure:
     """Draw panels, so many in a line, with one legend below; series of `ISAM2` are hollow."""
     columns = min(columns, len(panels))
@@ -366,12 +371,12 @@ def draw_panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
     if panel.level is not None:
         axes.axhline(panel.level, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
     if axes.dataLim.y0 >= 0.0:
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(0.0, 1.05 * axes.dataLim.y1 or None)
     elif panel.least is not None and axes.dataLim.y0 < panel.least:
         axes.set_ylim(bottom=panel.least)
     turned = 30.0 if len("".join(ticks)) > 40 else 0.0
     axes.set_xticks(range(len(ticks)), ticks, rotation=turned, ha="right" if turned else "center")
-    axes.set_title(panel.title, fontsize=10, loc="left")
+    axes.set_title(textwrap.fill(panel.title, TITLE_LENGTH), fontsize=10, loc="left")
     axes.set_xlabel(panel.x, fontsize=8)
     tidy(axes, grid="y")
 

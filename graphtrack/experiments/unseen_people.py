@@ -93,7 +93,7 @@ HABITS = {
 
 
 def simulated(habits: StrollerParameters, number: int, settings: Settings, stream: int) -> People:
-    """Sixteen people of 30 s in each of `SETTINGS`; to fit on, eight in all but the last."""
+    """Sixteen people of 30 s in each of `SETTINGS`; to fit on, eight in all but the last; two if quick."""
     found = {}
     for place, (name, given) in enumerate(SETTINGS.items()):
         if stream == 0 and name == "positions alone":
@@ -101,9 +101,9 @@ def simulated(habits: StrollerParameters, number: int, settings: Settings, strea
         known = dict(given)
         glances = known.pop("glances", None)
         own = habits if glances is None else replace(habits, glances_per_minute=glances)
-        few = settings.quick or stream == 0
+        count = settings.few(8 if stream == 0 else 16, 2)
         rng = settings.rng(41, stream, number, place)
-        found[name] = strollers(rng, own, people=8 if few else 16, **known)  # type: ignore[arg-type]
+        found[name] = strollers(rng, own, people=count, **known)  # type: ignore[arg-type]
     return found
 
 
@@ -169,8 +169,8 @@ def estimated(people: TrackSet, model: Model | str) -> Sequence[Track]:
     return smooth(people, model).tracks
 
 
-def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
-    """Constants of `full` with small errors on all settings of some sources.
+def fit(people: Sequence[People], free: Sequence[Free], rounds: int, progress: Progress) -> Model:
+    """Free constants of `full` with small errors on all settings of some sources.
 
     Each setting and quantity is a residual: the logarithm of the error over that of the best of `SIMPLER`,
     plus `MARGIN`, or 0. So a source weighs by its settings, and where `full` is worst counts most.
@@ -180,12 +180,12 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
     best = [np.log(np.min([errors_of(t, estimated(t, p)) for p in SIMPLER], axis=0)) for t in settings]
 
     def residuals(point: FloatArray) -> FloatArray:
-        model = with_values(start, FREE, point)
+        model = with_values(start, free, point)
         found = [np.log(errors_of(t, estimated(t, model))) - b for t, b in zip(settings, best, strict=True)]
         progress(1)
         return np.maximum(np.concatenate(found) + MARGIN, 0.0)
 
-    origin = np.array([one.to_scale(one.get(start)) for one in FREE])
+    origin = np.array([one.to_scale(one.get(start)) for one in free])
     relative = STEP / np.maximum(np.abs(origin), 1e-3)
     result = least_squares(
         residuals,
@@ -195,7 +195,7 @@ def fit(people: Sequence[People], rounds: int, progress: Progress) -> Model:
         x_scale=1.0,
         max_nfev=rounds,
     )
-    return with_values(start, FREE, result.x)
+    return with_values(start, free, result.x)
 
 
 def _rows(source: str, people: People, models: Mapping[str, Model | str]) -> Iterator[dict[str, Cell]]:
@@ -224,13 +224,14 @@ def _coverage(people: TrackSet, estimates: Sequence[Track], angle: Angle) -> flo
 
 def _parts(settings: Settings) -> Parts:
     found = {name: people(settings, 0) for name, people in SOURCES.items()}
-    to_fit, rounds = {name: people for name, people in found.items() if people}, settings.few(3)
-    settings.expect(len(to_fit) * (rounds * (len(FITTED) + 1) + 1))
+    to_fit, rounds = {name: people for name, people in found.items() if people}, settings.few(3, 2)
+    free = FREE[: settings.few(len(FREE), 3)]
+    settings.expect(len(to_fit) * (rounds * (len(free) + 1) + 1))
     rows: list[dict[str, Cell]] = []
     constants: list[dict[str, float]] = []
     for source in to_fit:
         training = [people for other, people in to_fit.items() if other != source]
-        fitted = fit(training, rounds, settings.progress)
+        fitted = fit(training, free, rounds, settings.progress)
         models: dict[str, Model | str] = {name: name for name in PRESETS}
         models["full, fitted without it"] = fitted
         rows += _rows(source, SOURCES[source](settings, 1), models)
@@ -285,6 +286,6 @@ def _summary(rows: Sequence[Row]) -> Iterator[Row]:
 EXPERIMENT = Experiment(
     "unseen-people",
     "no paper's: whether the default holds for people of sources that nothing was fitted to",
-    "8 people in each setting, half of the clips, and one round of each fit",
+    "2 people in each setting, half of the clips, and fits of three constants in two rounds",
     _parts,
 )

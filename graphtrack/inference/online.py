@@ -19,7 +19,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.chain.covariance import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate_newest, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import (
     OnlineEngine,
@@ -367,8 +367,9 @@ class OnlineSmoother:
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
             covariance = covariance.copy()
-            calibration = calibration_of(self.model.parameters)
-            calibrate(covariance[None], state[None], np.zeros(1), calibration)
+            first = smoother.steps[0]
+            age = observation.t - first.observation.t if first.starts else math.inf
+            calibrate_newest(covariance[None], state[None], 0, age, calibration_of(self.model.parameters))
         body, head = map(wrapped, state[4:].tolist())
         aligned, offset, glance = getattr(smoother, "modes", (math.nan, math.nan, math.nan))
         self._last = Estimate(

@@ -85,9 +85,19 @@ def with_neighbours(
         mine = identity == track.track_id
         group[np.searchsorted(track.frame, frame[mine])] = values[mine]
         group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
+        group[:, 2] = lasting(group[:, 2])
         return with_group(track, group)
 
     return tracks.map(with_groups)
+
+
+def lasting(probability: FloatArray) -> FloatArray:
+    """Least of the probabilities (n,) of a frame and of those next to it; NaN where that of the frame is.
+
+    Who joins or leaves turns between frames of which one is in the conversation: nothing holds that turn.
+    """
+    around = np.nan_to_num(np.pad(probability, 1, mode="edge"))
+    return np.minimum(probability, np.minimum(around[:-2], around[2:]))
 
 
 def neighbours(people: People, evidence: PairEvidence) -> FloatArray:

@@ -75,14 +75,11 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7, lasting_std=0.25),
+    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7),
     likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
 # Permanent couplings lag behind turns: the covariance is inflated by more.
-_JOINT = Parameters(
-    motion=MotionParameters(lasting_std=0.26),
-    orientation=OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.69),
-)
+_JOINT = Parameters(orientation=OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.69))
 # No rotational diffusion: only a user's own term acts on an angle.
 _NOTHING_TURNS = Parameters(orientation=steady(Parameters()).orientation)
 preset_parameters: dict[str, Parameters] = {

@@ -1,9 +1,8 @@
 """Parameters of the model, with their units, and the inflation of reported covariances.
 
 The defaults of motion, orientation and coupling were fitted to motion capture (30 Hz; 0.1 m of noise on
-positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. Gait oscillation,
-persistent accelerations and persistent turns change covariances alone; see
-`graphtrack.inference.chain.covariance`.
+positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. Gait oscillation and
+persistent turns change covariances alone; see `graphtrack.inference.chain.covariance`.
 """
 
 from __future__ import annotations
@@ -70,9 +69,6 @@ class MotionParameters(_Group):
     head_rate : rate λ at which the velocity turns to the direction of the head, 1/s; presets that have it
     oscillation_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
     oscillation_rate : steps per second, the rate of gait oscillation, 1/s
-    lasting_std : 1-σ of persistent accelerations, which estimates lag behind, m/s² on each axis;
-        covariances only
-    lasting_time : duration of a persistent acceleration, s
     """
 
     acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
@@ -81,8 +77,6 @@ class MotionParameters(_Group):
     oscillation_std: float = _number(0.0105, 0.0, 1.0, "m")
     # It acts on the velocity, which no recording has the truth of.
     oscillation_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
-    lasting_std: float = _number(0.0, 0.0, 100.0, "m/s²", learned=False)
-    lasting_time: float = _number(1.0, 1e-3, 1e3, "s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -345,10 +339,10 @@ _RENAMED = {
 
 
 def steady(parameters: Parameters) -> Parameters:
-    """The same without covariance inflation: no gait oscillation, no persistent accelerations or turns."""
+    """The same without covariance inflation: no gait oscillation, no persistent turns."""
     return replace(
         parameters,
-        motion=replace(parameters.motion, oscillation_std=0.0, lasting_std=0.0),
+        motion=replace(parameters.motion, oscillation_std=0.0),
         orientation=replace(
             parameters.orientation,
             body_white_share=1.0,

@@ -235,8 +235,8 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     """Sample a party.
 
     Conversations are on a grid `_APART` metres wide; a person who leaves one walks to another. Members stand
-    around the o-space and approximately face it; each looks at a fellow member, or away. Raise InputError for
-    fewer than one person or two steps.
+    around the o-space and approximately face it; each looks at a fellow member, or away. Others face where
+    they walk, and at rest where they faced before. Raise InputError for fewer than one person or two steps.
     """
     if people < 1 or steps < 2:
         raise InputError(f"{people} people, {steps} steps", "a person and two steps at least")
@@ -254,7 +254,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     look = np.full(people, NOTHING)
     stray = np.stack([_BODY_STD * rng.standard_normal(people), _LOOK_STD * rng.standard_normal(people)])
     away = rng.uniform(-np.pi, np.pi, people)
-    keep = np.exp(-dt / _DRIFT)
+    course, keep = away.copy(), np.exp(-dt / _DRIFT)
     for k in range(steps):
         leaving = np.flatnonzero(rng.random(people) < 1.0 - np.exp(-dt / _STAY))
         for one in leaving.tolist():
@@ -284,8 +284,9 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
                 alone_now = groups[one, k] < 0 or rng.random() < _ELSEWHERE
                 look[one] = NOTHING if free else _drawn(one, position, fellows, alone_now, rng)
             inward = centres[groups[one, k]] - position[one] if groups[one, k] >= 0 else way[one]
-            course = np.arctan2(inward[1], inward[0])
-            bodies[one, k] = wrap(course + stray[0, one])
+            if groups[one, k] >= 0 or far[one] > 1e-9:
+                course[one] = np.arctan2(inward[1], inward[0])
+            bodies[one, k] = wrap(course[one] + stray[0, one])
             at = position[look[one]] - position[one] if look[one] != NOTHING else None
             aim = away[one] if at is None else np.arctan2(at[1], at[0])
             heads[one, k] = wrap(aim + stray[1, one])

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import graphtrack as gt
 from graphtrack.cli.commands import app
-from graphtrack.cli.console import print_table, printable, shown_number
+from graphtrack.cli.console import WIDE, column_widths, print_table, printable, shown_number
 from graphtrack.cli.options import command_of
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -199,6 +199,29 @@ def test_a_table_has_a_row_for_each_and_a_dash_where_there_is_no_value(
     title, heading, _, *rows = [line.strip() for line in capsys.readouterr().out.splitlines() if line.strip()]
     assert (title, heading.split()) == ("Errors", ["method", "rmse"])
     assert [row.split() for row in rows] == [["kf", "-0.123"], [*SHOWN.split(), "–"]]
+
+
+@given(
+    st.lists(st.lists(st.text("ab ", max_size=60), min_size=2, max_size=2), min_size=1, max_size=12),
+    st.integers(0, 200),
+)
+def test_columns_fit_where_their_words_do(columns: list[list[str]], available: int) -> None:
+    widths = column_widths(columns, available)
+    words = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in columns]
+    natural = [max(map(len, cells)) for cells in columns]
+    assert all(w <= width <= n for w, width, n in zip(words, widths, natural, strict=True))
+    assert sum(widths) <= available or widths == words
+    assert sum(widths) >= available or widths == natural
+
+
+@pytest.mark.parametrize("narrow", [4, 40])
+def test_no_column_of_a_wide_table_is_cut(narrow: int, capsys: pytest.CaptureFixture[str]) -> None:
+    words = {f"heading of column {k}": "x" * (38 if k == 0 else narrow - 1) + "|" for k in range(8)}
+    row = {"some words that can be wrapped": "one two three " * 5, **words}
+    print_table("", [row, row])
+    shown = capsys.readouterr().out
+    assert shown.count("|") == 2 * 8 and "…" not in shown
+    assert narrow == 40 or max(map(len, shown.splitlines())) <= WIDE
 
 
 def test_large_numbers_are_shown_without_exponent() -> None:

@@ -80,6 +80,7 @@ def test_unseen_people_fits_without_each_source(monkeypatch: pytest.MonkeyPatch)
     ]
     assert all(0.0 < row["position (m)"] < 0.5 and row["body (°)"] < 90.0 for row in errors.records())
     assert len(summary.rows) == len(models) * len(sources)
+    assert any(row["median"] != row["default"] for row in constants.records())
     for row in constants.records():
         assert row["least"] <= row["median"] <= row["greatest"]
         assert 0.2 * row["default"] < row["least"] and row["greatest"] < 5.0 * row["default"]

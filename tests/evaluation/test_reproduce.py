@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from scipy import stats
 from typer.testing import CliRunner
 from walks import walk, without
@@ -20,10 +21,12 @@ from graphtrack.experiments import Settings, Table, all_experiments
 from graphtrack.experiments.baxter_occlusion import ONLINE, Case, WindowErrors, error_of, trajectories
 from graphtrack.experiments.chen_joint import PAPER, concentration_of
 from graphtrack.experiments.harness import (
+    Panel,
     evenly,
     fit,
     from_the_past,
     one_step_ahead,
+    page,
     squared_error,
     thinned,
     with_coupling,
@@ -221,6 +224,25 @@ def test_a_table_is_rectangular_and_ready_for_json() -> None:
     assert table.records()[1] == {"a": 2, "b": "x"}
     with pytest.raises(InputError, match="a row of 1"):
         Table("t", ("a", "b"), ((1,),))
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_titles_and_dots_of_a_page_are_within_their_panels(count: int) -> None:
+    names = [f"a category with a long name {k}" for k in range(6)]
+    rows = [{"name": name, "%": 98.0 if k else 65.0, "of": "x"} for k, name in enumerate(names)]
+    panel = Panel(
+        "A long title of a panel, which says what is shown of which sequences (%)", rows, "name", "%", "of"
+    )
+    figure = page([panel] * count)
+    figure.draw_without_rendering()
+    shown = figure.findobj(lambda one: isinstance(one, Text) and one.get_text().startswith("A long title"))
+    titles = [one.get_window_extent() for one in shown]
+    assert len(titles) == count
+    for k, title in enumerate(titles):
+        assert figure.bbox.x0 <= title.x0 and title.x1 <= figure.bbox.x1
+        assert not any(title.overlaps(other) for other in titles[:k])
+    for axes in figure.axes:
+        assert axes.get_ylim() == pytest.approx((0.0, 1.05 * 98.0))
 
 
 def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:

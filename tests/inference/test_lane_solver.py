@@ -111,8 +111,8 @@ def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
     """In one pass, from records of the linear terms alone: as in two, from those of all terms."""
     unseen = replace(walk(3, seed=5), position=np.full((3, 2), np.nan))
     tracks = [*scene(3), unseen, replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
-    lasting = Parameters(MotionParameters(lasting_std=0.4))
-    for parameters in (Model("position").parameters, lasting):
+    swinging = Parameters(MotionParameters(oscillation_std=0.03))
+    for parameters in (Model("position").parameters, swinging):
         model = Model("position", replace(parameters, likelihood=LikelihoodParameters(robust="none")))
         whole, lean = pack(tracks, model), pack_to_solve(tracks, model)
         assert lean.records.itemsize < whole.records.itemsize / 3

@@ -16,7 +16,7 @@ import graphtrack as gt
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import direction, mean_absolute_error, unit, wrap
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.interaction.coupled import CONVERSATIONS, LEAST, Conversations, counts, neighbours
+from graphtrack.interaction.coupled import CONVERSATIONS, LEAST, Conversations, counts, lasting, neighbours
 from graphtrack.interaction.evidence import pair_evidence
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import people_of
@@ -233,6 +233,12 @@ def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:
     ramp = np.outer(np.linspace(0.0, 0.8, 21), [1.0, 0.0])
     whole = np.sum(counts(ramp, np.zeros(21), 100.0) * np.linalg.norm(ramp, axis=1))
     np.testing.assert_allclose(whole, 0.8)
+
+
+def test_who_joins_and_leaves_is_not_held() -> None:
+    probability = np.array([np.nan, 0.4, 0.9, 0.8, 0.7, np.nan])
+    np.testing.assert_array_equal(lasting(probability), [np.nan, 0.0, 0.4, 0.7, 0.0, np.nan])
+    np.testing.assert_array_equal(lasting(np.array([0.6])), [0.6])
 
 
 @pytest.mark.slow

@@ -25,10 +25,8 @@ def mean_square(variance: FloatArray) -> FloatArray:
     return np.where(given == 0.0, 0.0, found)
 
 
-def lag_variance(
-    seconds: FloatArray, rate: float, lasts: float, ends: FloatArray | float
-) -> tuple[FloatArray, FloatArray]:
-    """Variance of the lag behind an Ornstein–Uhlenbeck rate: the part from the past alone, and all of it.
+def lag_variance(seconds: FloatArray, rate: float, lasts: float, ends: FloatArray | float) -> FloatArray:
+    """Variance of the lag behind an Ornstein–Uhlenbeck rate.
 
     σ²·τ²·T/(τ + T) from the past alone, ½·σ²·τ³·T/(τ + T)² with twice the τ where past and future balance;
     exp(−end/τ) is the share of the former.
@@ -37,7 +35,7 @@ def lag_variance(
     newest = np.exp(-np.asarray(ends) / np.maximum(around, 1e-9))
     past = rate**2 * seconds**2 * lasts / (seconds + lasts)
     balanced = 0.5 * rate**2 * around**3 * lasts / (around + lasts) ** 2
-    return newest * past, newest * past + (1.0 - newest) * balanced
+    return np.asarray(newest * past + (1.0 - newest) * balanced)
 
 
 def radians_behind(covariance: FloatArray, velocity: FloatArray, parameters: Parameters) -> FloatArray:
@@ -79,18 +77,6 @@ def calibrated(
     for axis in range(2):
         found[..., axis, axis] += motion.oscillation_std**2
         found[..., 2 + axis, 2 + axis] += (swing * motion.oscillation_std) ** 2
-    # Accelerations that last.
-    if motion.lasting_std > 0.0:
-        own = 0.5 * (given[..., 2, 2] + given[..., 3, 3])
-        seconds = 0.5 * (given[..., 0, 2] + given[..., 1, 3]) / own
-        past, whole = lag_variance(
-            own / motion.acceleration_density, motion.lasting_std, motion.lasting_time, ends
-        )
-        for axis in range(2):
-            found[..., axis, axis] += past * seconds**2
-            found[..., axis, 2 + axis] += past * seconds
-            found[..., 2 + axis, axis] += past * seconds
-            found[..., 2 + axis, 2 + axis] += whole
     # Angles: the width of their von Mises density, less the persistent part, plus the lag.
     behind = radians_behind(given, velocity, parameters)
     for place, name in ((4, "body"), (5, "head")):
@@ -102,6 +88,6 @@ def calibrated(
         found[..., place, :] *= factor[..., None]
         found[..., :, place] *= factor[..., None]
         rate, lasts = (getattr(orientation, f"{name}_turn_{part}") for part in ("rate", "time"))
-        _, whole = lag_variance(behind[..., place - 4], rate, lasts, ends)
-        found[..., place, place] = np.minimum(found[..., place, place] + whole, UNIFORM_STD**2)
+        lag = lag_variance(behind[..., place - 4], rate, lasts, ends)
+        found[..., place, place] = np.minimum(found[..., place, place] + lag, UNIFORM_STD**2)
     return found

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -198,6 +199,8 @@ def test_counts(service):
     status, text = service.request("GET", "/metrics")
     counted = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
     assert status == 200 and float(counted["graphtrack_rows_total"]) > 50
+    bounds = re.findall(r'graphtrack_latency_seconds_bucket{le="([^"]+)"}', text)
+    assert all(float(a) < float(b) for a, b in pairwise(bounds)) and bounds[-1] == "+Inf"
     below = [float(n) for name, n in counted.items() if name.startswith("graphtrack_latency_seconds_bucket")]
     assert all(a <= b for a, b in pairwise(below)) and below[-1] == float(counted["graphtrack_rows_total"])
     for name in ("waiting", "people", "streams"):

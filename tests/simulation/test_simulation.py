@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import difference, direction, mean_resultant_len
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.motion import sample_course, sample_positions, sample_velocity
 from graphtrack.simulation.sampling import simulate
-from graphtrack.simulation.scenario import scenario
+from graphtrack.simulation.scenario import party, scenario
 
 
 def chi2_band(dof: float) -> tuple[float, float]:
@@ -150,6 +150,20 @@ def test_scenario_refuses_what_it_cannot_play() -> None:
         with pytest.raises(InputError, match=next(iter(bad))):
             scenario(np.random.default_rng(0), **bad)
     assert all(np.isfinite(t.position).all() for t in scenario(np.random.default_rng(0), occlusion=0.0))
+
+
+def test_those_alone_at_a_party_keep_facing_where_they_came_from_or_stood() -> None:
+    turns, facing = [], []
+    for seed in range(4):
+        made = party(np.random.default_rng(seed), people=12, steps=240, fps=2.0)
+        for group, track in zip(made.group, made.tracks, strict=True):
+            assert track.body is not None
+            step = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
+            rests = (step[1:] < 1e-9) & (step[:-1] < 1e-9) & (group[1:-1] < 0) & (group[2:] < 0)
+            turns.append(difference(track.body[2:], track.body[1:-1])[rests])
+            facing.append(track.body[2:][rests])
+    assert np.sqrt(np.mean(np.concatenate(turns) ** 2)) < 0.5
+    assert np.abs(np.mean(np.exp(1j * np.concatenate(facing)))) < 0.5, "not all in one direction"
 
 
 DRAWS = 20_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.inference.chain.covariance import calibrate, calibration_of
+from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
 from graphtrack.model import Parameters
 
 
@@ -20,9 +20,10 @@ def calibrated(
 
     ``ends`` (...): seconds to the nearer end of the track.
     """
-    blocks = np.array(covariance, float).reshape(-1, 6, 6)
-    states = np.zeros((len(blocks), 6))
-    states[:, 2:4] = np.reshape(velocity, (-1, 2))
-    seconds = np.broadcast_to(np.asarray(ends, float), len(blocks)).copy()
-    calibrate(blocks, states, seconds, calibration_of(parameters))
-    return blocks.reshape(covariance.shape)
+    # Each is the middle one of three frames.
+    blocks = np.array(covariance, float).reshape(-1, 6, 6).repeat(3, axis=0)
+    states, offsets = np.zeros((len(blocks), 6)), np.arange(0, len(blocks) + 1, 3)
+    states[:, 2:4] = np.reshape(velocity, (-1, 2)).repeat(3, axis=0)
+    t = np.broadcast_to(np.asarray(ends, float), len(blocks) // 3)[:, None] * [-1.0, 0.0, 1.0]
+    calibrate_tracks(blocks, states, offsets, t.ravel(), calibration_of(parameters))
+    return blocks[1::3].reshape(covariance.shape)

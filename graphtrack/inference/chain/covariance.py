@@ -2,8 +2,9 @@
 
 By the law of total variance the modes add u·uᵀ with u = H⁻¹·γ, where γ is the standard deviation of their
 pulls in each frame (`coupling_modes.couple`), fully correlated along a track. Calibrated angles have the root
-mean square of a von Mises density of concentration 1/P. All states are inflated for gait oscillation and for
-persistent accelerations and turns, which estimates lag behind (`graphtrack.model.parameters`).
+mean square of a von Mises density of concentration 1/P. Positions and velocities are inflated for gait
+oscillation, angles for persistent turns, which estimates lag behind (`graphtrack.model.parameters`), and the
+velocities of people who are new where the coupling holds them at its threshold (`unresolved_speed`).
 """
 
 from __future__ import annotations
@@ -155,7 +156,8 @@ class Lasting(NamedTuple):
 class Calibration(NamedTuple):
     """The parameters that the calibration depends on."""
 
-    accelerations: Lasting
+    acceleration_density: float
+    speed_threshold: float  # of the coupling from motion to body, m/s
     body_turns: Lasting
     head_turns: Lasting
     body_factor: float  # of the standard deviations
@@ -171,7 +173,8 @@ def calibration_of(parameters: Parameters) -> Calibration:
     kept_body, kept_head = kept_shares(o)
     position_inflation, _, velocity_inflation, _ = oscillation_variances(motion)
     return Calibration(
-        Lasting(float(motion.acceleration_density), float(motion.lasting_std), float(motion.lasting_time)),
+        float(motion.acceleration_density),
+        float(parameters.coupling.speed_threshold),
         Lasting(float(o.body_diffusion), float(o.body_turn_rate), float(o.body_turn_time)),
         Lasting(float(o.head_diffusion), float(o.head_turn_rate), float(o.head_turn_time)),
         math.sqrt(kept_body),
@@ -182,8 +185,8 @@ def calibration_of(parameters: Parameters) -> Calibration:
 
 
 @compiled
-def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
-    """Variance of the lag behind a persistent rate: with the past alone, and with past and future.
+def lag_variance(seconds: float, lasting: Lasting, end: float) -> float:
+    """Variance of the lag behind a persistent rate.
 
     An estimate of variance P averages τ = P/D ``seconds`` of the past, or 2·τ of past and future, with
     exponential weights. A rate with the standard deviation σ and the duration T leaves σ²·τ²·T/(τ + T), or
@@ -193,7 +196,7 @@ def lag_variances(seconds: float, lasting: Lasting, end: float) -> tuple[float, 
     share = around / (around + lasts)
     newest = exp(-end / choose(around > 1e-9, around, 1e-9))
     past = newest * (square * seconds * lasts * (seconds / (seconds + lasts)))
-    return past, past + (1.0 - newest) * 0.5 * square * around * lasts * share * share
+    return past + (1.0 - newest) * 0.5 * square * around * lasts * share * share
 
 
 @compiled
@@ -210,10 +213,31 @@ def seconds_behind(across: float, body: float, head: float, calibration: Calibra
     both angles; NaN where the model has no such state. Each process pulls with 1/D (or 1/q) for each rad/s.
     """
     return abs(
-        known(across * (1.0 / calibration.accelerations.diffusion))
+        known(across * (1.0 / calibration.acceleration_density))
         + known(body * (1.0 / calibration.body_turns.diffusion))
         + known(head * (1.0 / calibration.head_turns.diffusion))
     )
+
+
+_NEW, _SLOW, _SLOW_STD = 1.5, 0.145, 0.9
+"""Seconds for which somebody is new; m/s above the coupling's threshold at which the speed is unresolved, and
+1-σ on each axis. Fitted on the motion capture that other parameters were fitted on."""
+
+
+@compiled
+def unresolved_speed(covariance: FloatArray, state: FloatArray, age: float, threshold: float) -> float:
+    """Variance, m²/s² on each axis, of a new velocity that the coupling to the body holds at its threshold.
+
+    Where the first positions contradict the body, the cost is least where the coupling begins. It rises on
+    one side only, so that its curvature is no measure of the spread. ``age``: seconds since the first frame.
+    """
+    vx, vy, body = state[VX], state[VY], state[BODY]
+    speed = math.sqrt(vx * vx + vy * vy)
+    # Bodies outside the model, and those without a coupling, have no covariance with the velocity.
+    held = (speed > threshold) & (abs(covariance[BODY, VX]) > 0.0) & (age < _NEW)
+    against = 0.5 - 0.5 * (math.cos(body) * vx + math.sin(body) * vy) / choose(held, speed, 1.0)
+    near = (speed - threshold) / _SLOW
+    return choose(held, _SLOW_STD**2 * exp(-near * near) * against * (1.0 - age / _NEW), 0.0)
 
 
 @compiled
@@ -225,23 +249,13 @@ def add_lags(
     calibration: Calibration,
     lags: FloatArray,
 ) -> None:
-    """Put into ``lags`` (5,) the variances of the lags in frame k: pp, pv, vv of each axis, body, head.
-
-    The position lags with the velocity by P_pv/P_vv, as in a Kalman filter that has forgotten its start.
-    """
+    """Put into ``lags`` (3,), at first, the variances of the lags of body and head in frame k."""
     covariance, vx, vy = covariances[k], states[k, VX], states[k, VY]
-    own = 0.5 * (covariance[2, 2] + covariance[3, 3])
-    seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
-    accelerations, lasts = calibration.accelerations, calibration.accelerations.rate != 0.0
-    past, total = lag_variances(own / accelerations.diffusion, accelerations, end)
-    lags[0] = choose(lasts, past * seconds * seconds, 0.0)
-    lags[1] = choose(lasts, past * seconds, 0.0)
-    lags[2] = choose(lasts, total, 0.0)
     body, head, both = covariance[BODY, BODY], covariance[HEAD, HEAD], covariance[HEAD, BODY]
     across = covariance[BODY, VY] * vx - covariance[BODY, VX] * vy
-    lags[3] = lag_variances(seconds_behind(across, body, both, calibration), calibration.body_turns, end)[1]
+    lags[0] = lag_variance(seconds_behind(across, body, both, calibration), calibration.body_turns, end)
     across = covariance[HEAD, VY] * vx - covariance[HEAD, VX] * vy
-    lags[4] = lag_variances(seconds_behind(across, both, head, calibration), calibration.head_turns, end)[1]
+    lags[1] = lag_variance(seconds_behind(across, both, head, calibration), calibration.head_turns, end)
 
 
 @inner
@@ -264,11 +278,9 @@ def limited(variance: float) -> float:
 
 @compiled
 def calibrate_frame(covariance: FloatArray, lags: FloatArray, calibration: Calibration) -> None:
-    """Calibrate the covariance (6, 6) of a frame in place; ``lags`` are from `add_lags`."""
+    """Calibrate the covariance (6, 6) of a frame in place; ``lags``: variances of body, head, velocity."""
     for axis in range(2):
-        covariance[axis, axis] += lags[0] + calibration.position_inflation
-        covariance[axis, VX + axis] += lags[1]
-        covariance[VX + axis, axis] += lags[1]
+        covariance[axis, axis] += calibration.position_inflation
         covariance[VX + axis, VX + axis] += lags[2] + calibration.velocity_inflation
     if math.isnan(covariance[BODY, BODY]) and math.isnan(covariance[HEAD, HEAD]):
         return
@@ -281,25 +293,19 @@ def calibrate_frame(covariance: FloatArray, lags: FloatArray, calibration: Calib
         covariance[i, HEAD] *= head
     covariance[BODY, HEAD] *= body * head
     covariance[HEAD, BODY] *= body * head
-    covariance[BODY, BODY] = limited(covariance[BODY, BODY] * body * body + lags[3])
-    covariance[HEAD, HEAD] = limited(covariance[HEAD, HEAD] * head * head + lags[4])
+    covariance[BODY, BODY] = limited(covariance[BODY, BODY] * body * body + lags[0])
+    covariance[HEAD, HEAD] = limited(covariance[HEAD, HEAD] * head * head + lags[1])
 
 
 @allocating
-def calibrate(
-    covariances: FloatArray, states: FloatArray, ends: FloatArray, calibration: Calibration
+def calibrate_newest(
+    covariances: FloatArray, states: FloatArray, p: int, age: float, calibration: Calibration
 ) -> None:
-    """Calibrate covariances (n, 6, 6), the inverse curvature at states (n, 6), in place.
-
-    ``ends`` (n,): seconds from each frame to the nearer end of its track, 0 for the newest online.
-    """
-    lags = np.empty((_CHUNK, 5))
-    for begin in range(0, len(covariances), _CHUNK):
-        end = min(begin + _CHUNK, len(covariances))
-        for k in range(begin, end):
-            add_lags(covariances, states, k, ends[k], calibration, lags[k - begin])
-        for k in range(begin, end):
-            calibrate_frame(covariances[k], lags[k - begin], calibration)
+    """Calibrate one of some covariances of newest frames, ``age`` seconds after the first one, in place."""
+    lags = np.empty(3)
+    lags[2] = unresolved_speed(covariances[p], states[p], age, calibration.speed_threshold)
+    add_lags(covariances, states, p, 0.0, calibration, lags)
+    calibrate_frame(covariances[p], lags, calibration)
 
 
 @allocating
@@ -310,13 +316,21 @@ def calibrate_tracks(
     t: FloatArray,
     calibration: Calibration,
 ) -> None:
-    """Calibrate the covariances of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
-    ends = np.empty(len(t))
+    """Calibrate covariances (n, 6, 6), the inverse curvature at states (n, 6), in place.
+
+    ``offsets`` (m + 1,) are the first frames of the tracks, ``t`` (n,) the times of all frames.
+    """
+    ends, lags = np.empty(len(t)), np.zeros((_CHUNK, 3))
     for track in range(len(offsets) - 1):
         first, last = offsets[track], offsets[track + 1] - 1
         for k in range(first, last + 1):
             ends[k] = min(t[k] - t[first], t[last] - t[k])
-    calibrate(covariances, states, ends, calibration)
+    for begin in range(0, len(t), _CHUNK):
+        end = min(begin + _CHUNK, len(t))
+        for k in range(begin, end):
+            add_lags(covariances, states, k, ends[k], calibration, lags[k - begin])
+        for k in range(begin, end):
+            calibrate_frame(covariances[k], lags[k - begin], calibration)
 
 
 @inner

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import Calibration, add_lags, add_spread, calibrate_frame, hide
+from graphtrack.inference.chain.covariance import Calibration, add_spread, calibrate_newest, hide
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -439,15 +439,9 @@ def predict_state(states: FloatArray, row: int, dt: float) -> None:
 
 @compiled
 def report(
-    problem: Problem,
-    state: FloatArray,
-    rules: Rules,
-    covariance: FloatArray,
-    lags: FloatArray,
-    p: int,
-    advanced: Advanced,
+    problem: Problem, state: FloatArray, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
 ) -> None:
-    """Report the newest frame of a window, a ``state`` (6,); ``lags`` (5,) is memory."""
+    """Report the newest frame of a window, a ``state`` (6,)."""
     reported = advanced.covariance[p]
     for i in range(N):
         advanced.state[p, i] = state[i]
@@ -459,8 +453,12 @@ def report(
         hide(BODY, advanced.state[p], reported)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], reported)
-    add_lags(advanced.covariance, advanced.state, p, 0.0, rules.calibration, lags)
-    calibrate_frame(reported, lags, rules.calibration)
+    age, first = math.inf, problem.offsets[0]
+    if problem.records[first].velocity_information > 0.0:
+        age = 0.0
+        for k in range(first + 1, problem.offsets[1]):
+            age += problem.records[k].dt
+    calibrate_newest(advanced.covariance, advanced.state, p, age, rules.calibration)
 
 
 @allocating
@@ -478,7 +476,7 @@ def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanc
     memory, before, covariances = workspace(size), np.empty((size, N)), np.empty((1, N, N))
     covariance = covariances[0]
     # Coupling modes change the couplings of all frames: no factorisation is kept.
-    keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
+    keeps, modes = as_variable(gait is None), mode_memory(0 if gait is None else size)
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
         problem = problem_in(windows, slot)
@@ -499,7 +497,7 @@ def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanc
             if gait is not None:
                 add_spread(chain, states, modes.spread, own, chain.n - 1, covariances)
                 covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
-            report(problem, states[chain.n - 1], rules, covariance, lags, p, advanced)
+            report(problem, states[chain.n - 1], rules, covariance, p, advanced)
             for k in range(task.leave):
                 oldest = problem.offsets[0]
                 here = windows.states[slot, oldest : oldest + 2]

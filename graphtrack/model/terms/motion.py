@@ -96,8 +96,6 @@ class Motion(Term):
         "motion.initial_speed_std",
         "motion.oscillation_std",
         "motion.oscillation_rate",
-        "motion.lasting_std",
-        "motion.lasting_time",
     )
     fields: ClassVar[tuple[Field, ...]] = (
         Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
