@@ -1,4 +1,4 @@
-"""Datasets of movement: poses as observations, and tracks there and back."""
+"""Datasets of movement, DeepLabCut and SLEAP: poses as observations, and tracks there and back."""
 
 from __future__ import annotations
 
