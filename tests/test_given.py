@@ -10,8 +10,14 @@ import pandas as pd
 import pytest
 
 import graphtrack as gt
+from graphtrack.baselines.hungarian import HungarianParameters
+from graphtrack.baselines.intentional import IntentionalParameters
+from graphtrack.baselines.particle_filter import ParticleOptions
 from graphtrack.learning import fit
+from graphtrack.simulation.corpus import CorpusParameters
+from graphtrack.simulation.detector import Detector
 from graphtrack.tracks.track import Track, TrackSet
+from perception.synthetic.head_clips import HeadClipParameters
 
 PEOPLE = gt.simulate("separate", n_tracks=3, n_steps=12, rng=np.random.default_rng(0))
 PERSON = PEOPLE.by_id(1)
@@ -209,3 +215,45 @@ def test_settings_that_are_no_numbers_are_refused() -> None:
         assert "lag" in refused(gt.track_online, PERSON, model="position", lag=wrong)
         assert "fps" in refused(gt.simulate, fps=wrong)
         assert "n_tracks" in refused(gt.simulate, n_tracks=wrong)
+
+
+OUT_OF_RANGE = [
+    (IntentionalParameters, {"variant": "other"}),
+    (IntentionalParameters, {"displacement": "none"}),
+    (IntentionalParameters, {"displacement_steps": 1}),
+    (IntentionalParameters, {"strength_steps": 0}),
+    (IntentionalParameters, {"bin_difference": "straight"}),
+    (IntentionalParameters, {"process_variance": 0.0}),
+    (IntentionalParameters, {"observation_variance": np.nan}),
+    (IntentionalParameters, {"weight_rate": np.inf}),
+    (HungarianParameters, {"gate": 0.0}),
+    (HungarianParameters, {"hits": 3, "frames": 2}),
+    (HungarianParameters, {"longest_gap": -1.0}),
+    (HungarianParameters, {"position_std": np.nan}),
+    (CorpusParameters, {"tracks": 0}),
+    (CorpusParameters, {"steps": 100}),
+    (CorpusParameters, {"speed": 0.0}),
+    (CorpusParameters, {"head_std": -1.0}),
+    (CorpusParameters, {"turn_steps": (3, 3)}),
+    (CorpusParameters, {"turn_steps": (0, 1, 1, 1, 1, 1)}),
+    (Detector, {"missed": 1.5}),
+    (Detector, {"occluded_share": -0.1}),
+    (Detector, {"occluded_seconds": np.nan}),
+    (Detector, {"clutter": -1.0}),
+    (Detector, {"clutter_count": "some"}),
+    (Detector, {"clutter": 1.5, "clutter_count": "fixed"}),
+    (HeadClipParameters, {"frames": 0}),
+    (HeadClipParameters, {"clutter": -1.0}),
+    (HeadClipParameters, {"occlusion": (0, 5)}),
+    (HeadClipParameters, {"occlusion": (90, 25)}),
+    (ParticleOptions, {"particles": 0}),
+    (ParticleOptions, {"particles": 2.5}),
+    (ParticleOptions, {"paths": 0}),
+    (ParticleOptions, {"resample_below": 1.5}),
+    (ParticleOptions, {"pose": "nearest"}),
+]
+
+
+@pytest.mark.parametrize(("kind", "wrong"), OUT_OF_RANGE)
+def test_parameters_out_of_range_are_refused_by_name(kind, wrong) -> None:
+    assert next(iter(wrong)) in refused(kind, **wrong)

@@ -287,7 +287,7 @@ def gains_of_links(
         for j in near[:count]:
             m = columns[j]
             if math.isnan(value[j]):
-                value[j] = born(chains, m, scene)
+                value[j] = born(chains, m, scene, state)
             later = chains.rows[m]
             bound = more + most_offered(later, value[j], most, scene)
             if bound + most_dense(earlier, before, later, skipped, scene) <= least[j]:
@@ -339,14 +339,14 @@ def gains_of_detections(
         k, m = heads[i], tails[i]
         grid = every if fresh[0][i] else new_columns
         if k >= 0:
-            without, one = state_after(chains, k, scene), chains.rows[k]
+            without, one = state_after(chains, k, scene, state), chains.rows[k]
             bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
             count = near_detections(
                 chains, chains.state[k], one.t, one.frame, columns, grid, bounds, scene, near
             )
         else:
             # As far from the tail as a new person may have walked.
-            without, later = born(chains, m, scene), chains.rows[m]
+            without, later = born(chains, m, scene, state), chains.rows[m]
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
             bounds[0] += missed(later.frame - frame - 1, scene)

@@ -326,7 +326,10 @@ def begin(first: Row, scene: Scene, state: FloatArray) -> float:
 
 @compiled
 def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """The state after detection m of a person whose state was ``before`` at detection k; its evidence."""
+    """The state after detection m of a person whose state was ``before`` at detection k; its evidence.
+
+    ``state`` may be ``before``.
+    """
     earlier, later = chains.rows[k], chains.rows[m]
     density = move(earlier, before, later, scene, state)
     skipped = missed(later.frame - earlier.frame - 1, scene)
@@ -361,14 +364,25 @@ def is_within(state: FloatArray, dt: float, later: Row, scene: Scene) -> bool:
     return off_x * off_x + off_y * off_y < GATE * GATE * spread
 
 
-@allocating
+@compiled
+def is_same(state: FloatArray, other: FloatArray) -> bool:
+    """Return whether two states lead to the same links."""
+    same = True
+    for i in range(STATE):
+        same = same and abs(state[i] - other[i]) < SAME
+    return same
+
+
+@compiled
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
-    """Evidence of the detections after k in its chain, stored values from ``look_ahead`` detections on."""
-    total, count, here = 0.0, 0, np.empty(STATE)
+    """Evidence of the detections after k in its chain, given the state there, which is overwritten.
+
+    Stored values are used from ``look_ahead`` detections on, or from where the state is that of the chain.
+    """
+    total, count = 0.0, 0
     m = chains.rows[k].following
-    while m >= 0 and count < scene.look_ahead:
-        here[:] = state
-        total += follow(chains, here, k, m, scene, state)
+    while m >= 0 and count < scene.look_ahead and not is_same(state, chains.state[k]):
+        total += follow(chains, state, k, m, scene, state)
         k, m, count = m, chains.rows[m].following, count + 1
     return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
 
@@ -399,21 +413,26 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
     return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
 
 
-@allocating
-def born(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the track from detection k on, as of a new person, over that of false detections."""
-    state = np.empty(STATE)
+@compiled
+def born(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
+    """Evidence of the track from detection k on, as of a new person, over that of false detections.
+
+    ``state``: memory, here and below
+    """
     value = begin(chains.rows[k], scene, state)
     value += run_on(chains, state, k, scene)
     chains.rows[k].alone = max(0.0, value)
     return value
 
 
-@allocating
-def state_after(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the whole track of detection k, as it is linked from there on."""
-    state = chains.state[k].copy()
-    return chains.rows[k].total + run_on(chains, state, k, scene)
+@compiled
+def state_after(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
+    """Evidence of the whole track of detection k, whose link to the next detection may be new."""
+    m = chains.rows[k].following
+    if m < 0:
+        return chains.rows[k].total + ending(chains, k, scene)
+    evidence = follow(chains, chains.state[k], k, m, scene, state)
+    return chains.rows[k].total + evidence + run_on(chains, state, m, scene)
 
 
 @allocating
@@ -434,10 +453,7 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene, move: int) -> No
         else:
             one.evidence = follow(chains, chains.state[k], k, m, scene, state)
             one.total = chains.rows[k].total + one.evidence
-        same = abs(head_worth(chains, m, scene) - worth) < SAME
-        for i in range(STATE):
-            same = same and abs(state[i] - before[i]) < SAME
-        if not same:
+        if not (abs(head_worth(chains, m, scene) - worth) < SAME and is_same(state, before)):
             one.changed_before = move
 
 

@@ -433,7 +433,9 @@ class Moves:
         parts = min(processors(), len(rows) // _ROWS_OF_A_THREAD)
         if self._threads is None or parts < 2:
             return [some(rows)]
-        return list(self._threads.map(some, np.array_split(rows, parts)))
+        own, *others = np.array_split(rows, parts)
+        there = [self._threads.submit(some, part) for part in others]
+        return [some(own), *(one.result() for one in there)]
 
     def roots(self) -> tuple[IntArray, FloatArray]:
         """Return the first detection of each detection's track (n,), and at first detections its value.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from statistics import median
 from typing import Any
 
@@ -225,6 +226,9 @@ class OnlineAssociation(Moves):
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
         self._pairs: Pairs  # of the frames that can be revised
+        # The same by the number of the update, from its first detection on, and the spread that they are for.
+        self._pairs_of: dict[int, Pairs] = {}
+        self._pairs_spread = np.nan
 
     @property
     def descriptor_size(self) -> int:
@@ -381,8 +385,8 @@ class OnlineAssociation(Moves):
         for age in ages:
             if age < len(self._first):
                 begin, end = self._first[-1 - age], ends[-1 - age]
-                self.move(begin, end)
-                self.filter_from(end)
+                if self.move(begin, end):
+                    self.filter_from(end)
         return self._decide(first)
 
     def check_time(self, t: float) -> None:
@@ -445,10 +449,25 @@ class OnlineAssociation(Moves):
         if not self._first:
             return
         first = self._first[0]
-        self._pairs = duplicate_pairs(chains.frame[first:], chains.position[first:], self.scene)
+        self._pairs = self._duplicate_pairs(first)
         std = self._notes.std[first:]
         chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
         self._weigh_duplicates()
+
+    def _duplicate_pairs(self, first: int) -> Pairs:
+        """Return `duplicate_pairs` of the detections from ``first`` on; only new frames are searched."""
+        chains, known, spread = self.chains, self._pairs_of, self.scene.duplicate_spread
+        known = known if spread == self._pairs_spread else {}
+        self._pairs_spread, self._pairs_of, found = spread, {}, []
+        for begin, end in pairwise([*self._first, len(chains.t)]):
+            rows, number = chains.rows[begin:end], int(chains.frame[begin])
+            if number not in known:
+                position = np.column_stack([rows["x"], rows["y"]])
+                known[number] = duplicate_pairs(rows["frame"], position, self.scene)
+            one, other, square = self._pairs_of[number] = known[number]
+            found.append((one + (begin - first), other + (begin - first), square))
+        one, other, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return one, other, square
 
     def _pack(self) -> None:
         self.packed = self._appearance.in_scene(Scene(*self.scene.packed(self.step_seconds)))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -74,7 +75,16 @@ def to_smooth(observations: Observation, noise: float) -> Observation:
     if observations.position_std is not None and observations.score is None and not observations.inputs:
         return observations
     inputs = {name: value for name, value in observations.inputs.items() if name != APPEARANCE}
-    return replace(observations, score=None, inputs=inputs, position_std=observations.position_std or noise)
+    # `dataclasses.replace` takes several times as long.
+    values = list(_VALUES_OF_OBSERVATION(observations))
+    values[_STD], values[_SCORE], values[_INPUTS] = observations.position_std or noise, None, inputs
+    return Observation(*values)
+
+
+_OBSERVATION = tuple(Observation.__dataclass_fields__)
+_VALUES_OF_OBSERVATION = attrgetter(*_OBSERVATION)
+_STD, _SCORE, _INPUTS = map(_OBSERVATION.index, ("position_std", "score", "inputs"))
+_VALUES_OF_ESTIMATE = attrgetter(*Estimate.__dataclass_fields__)
 
 
 Key = tuple[int, int]
@@ -176,7 +186,8 @@ class DetectionTracker:
         detections : observations, whose own times are not read, or positions (n, 2) in metres; may be empty.
             Their appearance is their input ``appearance``, of one size in all frames
         """
-        observations = [self.on_the_ground(one, t) for one in detections]
+        given = detections.tolist() if isinstance(detections, np.ndarray) else detections
+        observations = [self.on_the_ground(one, t) for one in given]
         position = np.array([one.position for one in observations], float).reshape(-1, 2)
         descriptors = descriptors_of(observations, self.descriptor_size)
         std, score = (
@@ -264,47 +275,35 @@ class DetectionTracker:
             if track_id > 0:
                 self._people[track_id] = _Person(self._smoother())
         hiding, living = set(hidden), self._association.remembered()
-        fed: list[tuple[_Person, list[Key]]] = []
+        ahead: list[tuple[_Person, list[Key]]] = []  # with one new observation, and no other change
         for track_id, person in list(self._people.items()):
             person.forget(settled)
             if self._groups is not None:
                 group = self._groups.group(track_id)
                 person.groups_by_update |= {} if group is None else {number: group}
+            before, unseen = person.keys, [(number, UNSEEN)] if track_id in hiding else []
             if track_id in revised:
                 observed = again.get(track_id, [])
-            else:
-                observed = [key for key in person.keys if key[1] != UNSEEN]
-                observed += [new[track_id]] if track_id in new else []
-            if not observed and track_id not in living:
-                del self._people[track_id]
-                continue
-            keys = person.keys
-            if track_id in revised:
                 updates = {update for update, _ in observed}
-                keys = sorted(observed + [key for key in keys if key[1] == UNSEEN and key[0] not in updates])
+                kept = [key for key in before if key[1] == UNSEEN and key[0] not in updates]
+                keys, is_observed = [*sorted(observed + kept), *unseen], bool(observed)
             elif track_id in new:
-                keys = [*keys, new[track_id]]
-            fed.append((person, [*keys, (number, UNSEEN)] if track_id in hiding else keys))
-        # Smoothers are independent, and compiled code releases the interpreter's lock. A
-        # thread gets its people at once: handed over one by one, the slowest frames take twice as long.
-        parts = 1 if self._threads is None else processors()
-        feed = map if self._threads is None else self._threads.map
-        list(feed(self._feed_all, [fed[k::parts] for k in range(parts)]))
-
-    def _feed_all(self, people: list[tuple[_Person, list[Key]]]) -> None:
-        """Feed a chunk of people; all smoothers with only new observations are updated together."""
-        ahead: list[_Person] = []
-        observations: list[Observation] = []
-        for person, keys in people:
-            if len(keys) == len(person.keys) + 1 and keys[:-1] == person.keys:
-                ahead.append(person)
-                observations.append(person.smoother.usable(self._observation_of(person, keys[-1])))
-                person.keys = keys
+                keys, is_observed = [*before, new[track_id]], True
             else:
+                keys, is_observed = [*before, *unseen], any(place != UNSEEN for _, place in before)
+            if not is_observed and track_id not in living:
+                del self._people[track_id]
+            elif keys and keys[:-1] == before:
+                ahead.append((person, keys))
+            elif keys != before:
                 self._feed(person, keys)
-        estimates = OnlineSmoother.update_together([person.smoother for person in ahead], observations)
-        for person, estimate in zip(ahead, estimates, strict=True):
-            person.estimate = estimate
+        estimates = OnlineSmoother.update_together(
+            [person.smoother for person, _ in ahead],
+            [self._observation_of(person, keys[-1]) for person, keys in ahead],
+            self._threads,
+        )
+        for (person, keys), estimate in zip(ahead, estimates, strict=True):
+            person.keys, person.estimate = keys, estimate
 
     def _feed(self, person: _Person, keys: list[Key]) -> None:
         same = 0
@@ -335,9 +334,7 @@ class DetectionTracker:
                 continue
             place = detection_of.get(track_id, UNSEEN)
             sure = math.nan if place == UNSEEN else float(decision.probability[place])
-            found.append(
-                PersonEstimate(**vars(person.estimate), track_id=track_id, detection=place, identity_p=sure)
-            )
+            found.append(PersonEstimate(*(*_VALUES_OF_ESTIMATE(person.estimate), track_id, place, sure)))
         return found
 
     def _smoother(self) -> OnlineSmoother:
@@ -349,7 +346,7 @@ class DetectionTracker:
         Raise InputError if it has none at all, or cannot be used.
         """
         if not isinstance(detection, Observation):
-            x, y = (float(value) for value in detection)
+            x, y = map(float, detection)
             detection = Observation(t=t, position=(x, y))
         elif detection.t != t:
             detection = replace(detection, t=t)
@@ -372,7 +369,8 @@ class _Person:
 
     def forget(self, settled: int) -> None:
         """Forget detections and groups of updates before ``settled``."""
-        self.keys = [key for key in self.keys if key[0] >= settled]
+        while self.keys and self.keys[0][0] < settled:
+            del self.keys[0]
         for update in [update for update in self.groups_by_update if update < settled]:
             del self.groups_by_update[update]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -199,26 +200,26 @@ class OnlineSmoother:
 
     @staticmethod
     def update_together(
-        smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
+        smoothers: Sequence[OnlineSmoother],
+        observations: Sequence[Observation],
+        threads: ThreadPoolExecutor | None = None,
     ) -> list[Estimate]:
-        """Make each smoother's `update` in few calls into compiled code; observations as from `usable`."""
+        """Make each smoother's `update`, of observations as from `usable`; ``threads`` run compiled code."""
         observations = _with_walls(smoothers, observations)
         estimates: list[Estimate | None] = [None] * len(smoothers)
-        indices: list[int] = []
-        windows: list[ChainWindow] = []
-        steps: list[Step] = []
+        ahead: list[tuple[int, ChainWindow, Step]] = []
         for k, (smoother, observation) in enumerate(zip(smoothers, observations, strict=True)):
             window, before = smoother._smoother, smoother._smoother.steps
-            if isinstance(window, ChainWindow) and before and observation.t > before[-1].observation.t:
-                indices.append(k)
-                windows.append(window)
-                # A window needs no link to its newest step.
-                dt = observation.t - before[-1].observation.t
-                steps.append(Step(smoother._next_index, observation, None, dt, False, smoother.camera))
+            # A window needs no link to its newest step.
+            dt = observation.t - before[-1].observation.t if before else 0.0
+            if dt > 0.0 and isinstance(window, ChainWindow):
+                step = Step(smoother._next_index, observation, None, dt, False, smoother.camera)
+                ahead.append((k, window, step))
             else:
                 estimates[k] = smoother._take(observation)
-        for k, found in zip(indices, extend_together(windows, steps), strict=True):
-            estimates[k] = smoothers[k]._extended(found, observations[k])
+        found = extend_together([window for _, window, _ in ahead], [step for *_, step in ahead], threads)
+        for (k, _, _), newest in zip(ahead, found, strict=True):
+            estimates[k] = smoothers[k]._extended(newest, observations[k])
         return estimates  # type: ignore[return-value]  # none is left out
 
     def _take(self, observation: Observation) -> Estimate:

@@ -1,4 +1,4 @@
-"""Likelihood ratio of appearance: on synthetic people with a known ratio, and its bounds."""
+"""Likelihood ratio of appearance, and online association with appearance and scores."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import graphtrack as gt
 from graphtrack.association.likelihood import (
@@ -20,7 +21,14 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.online import REPORTED_FROM, OnlineAssociation
-from graphtrack.association.scene import AHEAD, SPREAD, learn_ground_rates, learn_scene, own_rates
+from graphtrack.association.scene import (
+    AHEAD,
+    SPREAD,
+    duplicate_density,
+    learn_ground_rates,
+    learn_scene,
+    own_rates,
+)
 from graphtrack.geometry.angles import class_centres
 
 FRAMES, CROSSING = 400, 20
@@ -57,6 +65,18 @@ def test_without_gaps_a_scene_keeps_its_prior_of_occlusions() -> None:
     found = learn_scene(chains, identity, gt.SceneParameters(), np.full(len(identity), np.nan), 0.4)
     assert found.occlusion_seconds == pytest.approx(2.0)
     assert found.occlusion_probability == pytest.approx(0.02 / ((identity >= 0).sum() + 2.0))
+
+
+@pytest.mark.parametrize("number", [0, 4])
+@pytest.mark.parametrize("other", [-1, 2])
+def test_a_detection_near_a_longer_track_may_be_a_duplicate_of_it(number: int, other: int) -> None:
+    """``number``: of a track of three detections; ``other``: of one detection near the last; −1: false."""
+    scene = gt.SceneParameters(duplicate_rate=0.1, duplicate_spread=0.5)
+    position = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.3, 0.4]])
+    identity = np.array([number, number, number, other])
+    density = duplicate_density(np.array([0, 1, 2, 2]), position, identity, scene)
+    normal = stats.multivariate_normal([2.0, 0.0], 0.25 * np.eye(2))
+    np.testing.assert_allclose(density, [0.0, 0.0, 0.0, 0.1 * normal.pdf(position[3])])
 
 
 @pytest.mark.parametrize("k", [0, 7, 300])

@@ -163,24 +163,6 @@ def test_none_or_one_position(seen: int) -> None:
     assert np.isfinite(found.mean).all() == (seen == 1)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"variant": "other"},
-        {"displacement": "none"},
-        {"displacement_steps": 1},
-        {"strength_steps": 0},
-        {"bin_difference": "straight"},
-        {"process_variance": 0.0},
-        {"observation_variance": math.nan},
-        {"weight_rate": math.inf},
-    ],
-)
-def test_parameters_out_of_range(wrong: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        IntentionalParameters(**wrong)
-
-
 def test_shapes_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="heads of shape"):
         intentional_filter(np.zeros((5, 2)), np.zeros(4))

@@ -1,4 +1,4 @@
-"""The commands, as a user runs them."""
+"""The commands, as a user runs them: files, help, printed text, speeds and assumed noise."""
 
 import json
 import subprocess

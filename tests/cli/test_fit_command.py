@@ -1,4 +1,4 @@
-"""`graphtrack fit` from file to file."""
+"""`graphtrack fit` of models and of scenes, from file to file."""
 
 from __future__ import annotations
 
@@ -38,23 +38,6 @@ def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
     assert model.to_dict() == told["model"]
     assert model.parameters.motion != gt.Parameters().motion
     assert "Gain" in (people / "learned.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        ["-o", "learned.csv"],
-        ["-o", "learned.toml", "--criterion", "error"],
-        ["-o", "no/folder/learned.toml"],
-        ["-o", "learned.toml", "--hold-out", "1.5"],
-        ["-o", "learned.toml", "--model", "joint", "--criterion", "evidence"],
-    ],
-)
-def test_what_cannot_be_done_is_said_in_one_line(people: Path, wrong: list[str]) -> None:
-    done = run("fit", "people.csv", *wrong)
-    assert done.returncode == 2
-    assert done.stderr.strip().splitlines()[-1].startswith("error: ")
-    assert not (people / "learned.toml").exists()
 
 
 def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(people: Path) -> None:

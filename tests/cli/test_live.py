@@ -370,20 +370,6 @@ def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, 
     assert code == 2 and "columns" in said
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (("--columns", "lat=a,lon=b"), "lat=a with -"),
-        (("--columns", "x=*_x"), "with -"),
-        (("--time-unit", "iso"), "--time-unit iso with -"),
-        (("--units", "cm"), "--units with -"),
-    ],
-)
-def test_what_a_row_alone_cannot_be_read_by_is_refused(track, options, told):
-    code, answers, said = track([], *options)
-    assert code == 2 and not answers and told in said
-
-
 def test_a_row_that_cannot_be_read_is_answered_before_the_next_comes():
     """A client may wait for each answer before it sends the next row."""
     command = [*TRACK_STREAM, "--model", "position", "--fps", "10"]

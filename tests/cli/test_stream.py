@@ -1,4 +1,4 @@
-"""Rows in, estimates out: the result of each row of a stream."""
+"""Rows in, estimates out: each row of a stream, its names and units, and rows without identities."""
 
 import json
 

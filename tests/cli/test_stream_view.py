@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import run
 from rerun_recordings import nanoseconds, read_recording
 
 from graphtrack.viewer.live import LiveView, track_of
@@ -130,13 +129,3 @@ def test_an_answer_becomes_a_track_in_radians() -> None:
     std = [track.std(name) for name in ("x", "y", "body")]
     np.testing.assert_allclose(np.ravel(std), [0.1, 0.2, math.radians(10.0)])  # type: ignore[arg-type]
     assert track.velocity is not None and np.isnan(track.velocity[0, 1])
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [(("--save", "run.txt"), "the ending .rrd"), (("--groups", "find"), "--groups with -")],
-)
-def test_a_view_that_makes_no_sense_is_refused(options: tuple[str, ...], said: str, cwd: Path) -> None:
-    done = run("view", "-", *options, program="graphtrack")
-    assert done.returncode == 2 and said in done.stderr and not done.stdout
-    assert not list(cwd.iterdir())

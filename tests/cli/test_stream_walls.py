@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import pickle
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -53,19 +50,13 @@ def area(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def track(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Done, Rows]]:
-    def stream(rows: Rows, *options: object) -> tuple[Done, Rows]:
-        lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
-        given = ("--model", "position", "--engine", "fixed-lag", *options)
-        done = run("track", "-", *given, program="graphtrack")
-        return done, [json.loads(line) for line in done.stdout.splitlines()]
-
-    return stream
+def track(rows: Rows, *options: object) -> tuple[Done, Rows]:
+    given = ("--model", "position", "--engine", "fixed-lag", *options)
+    done = run("track", "-", *given, program="graphtrack", rows=rows)
+    return done, [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_estimates_of_a_stream_stay_inside(track: Any, area: Path) -> None:
+def test_estimates_of_a_stream_stay_inside(area: Path) -> None:
     rows = corridor_rows(10, 4)
     _, plain = track(rows)
     done, walled = track(rows, "--walkable", area)
@@ -73,7 +64,7 @@ def test_estimates_of_a_stream_stay_inside(track: Any, area: Path) -> None:
     assert share_outside(plain) > 0.01 and share_outside(walled) <= 0.001
 
 
-def test_tracked_detections_of_a_stream_stay_inside(track: Any, area: Path) -> None:
+def test_tracked_detections_of_a_stream_stay_inside(area: Path) -> None:
     rows = corridor_rows(2, 5, identities=False, near=True)
     _, plain = track(rows, "--lag", "1")
     _, walled = track(rows, "--lag", "1", "--walkable", area, "--forecast", "2")
@@ -84,7 +75,7 @@ def test_tracked_detections_of_a_stream_stay_inside(track: Any, area: Path) -> N
 
 @pytest.mark.parametrize("identities", [True, False])
 def test_a_resumed_stream_keeps_its_walls_and_refuses_others(
-    track: Any, area: Path, tmp_path: Path, identities: bool
+    area: Path, tmp_path: Path, identities: bool
 ) -> None:
     rows, state = corridor_rows(2, 6, identities)[:140], tmp_path / "state"
     options = ("--walkable", area, "--forecast", "1")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -95,36 +93,31 @@ def test_detections_are_told_with_groups_and_looks() -> None:
     assert by_y[0] == by_y[1] >= 0 > by_y[60]
 
 
-def graphtrack(line: str) -> Done:
-    return run(*line.split(), program="graphtrack")
+def graphtrack(line: str, **options: Any) -> Done:
+    return run(*line.split(), program="graphtrack", **options)
 
 
-def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
-    cwd: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def track(given: list[dict[str, Any]], options: str) -> Done:
+    return graphtrack(f"track - --model {options}", rows=given)
+
+
+def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(cwd: Path) -> None:
     (cwd / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
-
-    def track(given: list[dict[str, Any]], options: str) -> Done:
-        lines = "".join(json.dumps(row) + "\n" for row in given).encode()
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
-        return graphtrack(f"track - --model position {options}")
 
     given = rows(8)
     for seen in (given, detections(given)):
-        options = "--groups --attention --places places.csv --forecast 2"
+        options = "position --groups --attention --places places.csv --forecast 2"
         whole = track(seen, options)
         assert whole.returncode == 0, whole.stderr
         kept = f"{options} --state state{'' if 'track_id' in seen[0] else '-of-detections'}"
         first, second = track(seen[:12], kept), track(seen[12:], kept)
         assert first.stdout + second.stdout == whole.stdout
-        for other in ("--groups --forecast 2", "--groups --attention --forecast 2"):
+        for other in ("position --groups --forecast 2", "position --groups --attention --forecast 2"):
             refused = track(seen[12:], kept.replace(options, other))
             assert refused.returncode == 2 and "attention = [[" in refused.stderr
 
 
-def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
-    cwd: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(cwd: Path) -> None:
     rng = np.random.default_rng(1)
     given = [
         {"track_id": k, "frame": f, "t": 0.5 * f, "x": np.cos(2.1 * k) + x, "y": np.sin(2.1 * k) + y}
@@ -132,15 +125,9 @@ def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
         for k, (x, y) in enumerate(0.02 * rng.standard_normal((3, 2)))
     ]
 
-    def track(rows: list[dict[str, Any]], options: str) -> str:
-        lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
-        done = graphtrack(f"track - --model social {options}")
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    whole = track(given, "")
-    assert track(given[:17], "--state state") + track(given[17:], "--state state") == whole
+    whole = track(given, "social").stdout
+    parts = [track(some, "social --state state").stdout for some in (given[:17], given[17:])]
+    assert "".join(parts) == whole
     plain = "".join(json.dumps(row) + "\n" for row in given)
     (cwd / "people.ndjson").write_text(plain)
     assert graphtrack("track people.ndjson --model social -o tracked.csv").returncode == 0

@@ -1,4 +1,4 @@
-"""Metrics on cases computed by hand, and the NEES of honest and of overconfident Gaussians."""
+"""Metrics on cases computed by hand; NEES and coverage of honest and of overconfident Gaussians."""
 
 from __future__ import annotations
 

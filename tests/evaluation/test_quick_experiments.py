@@ -1,4 +1,4 @@
-"""Long experiments on a few people: their tables, and properties of these."""
+"""Experiments on a few people: their tables, and that methods are compared alike."""
 
 from __future__ import annotations
 

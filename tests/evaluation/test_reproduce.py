@@ -267,18 +267,6 @@ def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPat
     assert 20.0 < row["std (°)"] < 28.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["reproduce", "chen", "--out", "x"], "chen-joint"),
-        (["reproduce", "chen-joint", "--out", "x", "--data", "nowhere"], "no such folder"),
-    ],
-)
-def test_wrong_use(arguments: list[str], said: str, cwd: Path) -> None:
-    with pytest.raises(InputError, match=said):
-        CliRunner().invoke(app, arguments, catch_exceptions=False)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(all_experiments()))
 def test_every_experiment_runs(name: str, data_dir: Path) -> None:

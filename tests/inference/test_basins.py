@@ -1,4 +1,4 @@
-"""Classifiers that confuse front and back: no engine may settle in the reversed basin."""
+"""No engine may settle in a reversed basin; two that are as likely are both in the covariance."""
 
 from __future__ import annotations
 

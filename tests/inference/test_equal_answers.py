@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.inference.chain import batch
 from graphtrack.model.observation import observations
+from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track
 
 FAR = 1e9
@@ -109,22 +111,40 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
         assert np.sum(difference(one.body[1:], one.body[:-1])) > 0.0  # counter-clockwise
 
 
-def differences(preset: str) -> np.ndarray:
+def differences(people: gt.TrackSet, preset: str, lag: float = 10.0) -> np.ndarray:
     """Mean degrees between the last bodies and heads of whole tracks, and of the same online."""
-    people = gt.simulate(preset, n_tracks=16, n_steps=45, fps=10.0, rng=np.random.default_rng(8))
-    whole, online = gt.smooth(people, preset), gt.track_online(people, preset, lag=10.0)
+    whole, online = gt.smooth(people, preset), gt.track_online(people, preset, lag=lag)
     found = []
     for one, other in zip(whole, online, strict=True):
         found.append([difference(one.body[-1], other.body[-1]), difference(one.head[-1], other.head[-1])])
     return np.asarray(np.degrees(np.abs(found).mean(axis=0)))
 
 
+def simulated(preset: str) -> gt.TrackSet:
+    return gt.simulate(preset, n_tracks=16, n_steps=45, fps=10.0, rng=np.random.default_rng(8))
+
+
 @pytest.mark.parametrize("preset", ["separate", "joint"])
 def test_the_last_frame_is_the_same_online(preset: str) -> None:
-    assert differences(preset).max() < 0.01
+    assert differences(simulated(preset), preset).max() < 0.01
 
 
 def test_the_last_frame_is_nearly_the_same_online_with_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Offline turns between modes and states are taken until nothing changes; online has one."""
     monkeypatch.setattr(batch, "PASSES", 8)
-    assert differences("full").max() < 0.25
+    assert differences(simulated("full"), "full").max() < 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [1, 3])
+def test_the_last_frame_on_motion_capture(data_dir: Path, every: int) -> None:
+    clips = gt.read(data_dir / "mocap" / "tracks_30hz.csv.gz")
+    held = [track for track in clips.tracks[1::2] if len(track) >= 60]
+    seen = []
+    for seed in (0, 1):
+        some, rng = clips.with_tracks(held[seed::6]), np.random.default_rng(seed)
+        for track in add_noise(some, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng):
+            seen.append(replace(track[::every], track_id=len(seen)))
+    scene = clips.with_tracks(seen)
+    for preset, body, head in (("separate", 0.01, 0.01), ("joint", 0.02, 0.02), ("full", 0.2, 0.6)):
+        assert (differences(scene, preset, lag=2.0) < (body, head)).all()

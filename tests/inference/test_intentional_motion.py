@@ -11,14 +11,12 @@ from walks import walk, without
 
 from graphtrack.baselines.intentional import GrowingRate, intentional_tracker, mean_deviation
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
-from graphtrack.geometry.angles import unit
 from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window_kernels import condense
 from graphtrack.model import Model, MotionParameters, Parameters, States
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.simulation.degrade import withhold
 from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import Track
 
@@ -36,18 +34,6 @@ def test_without_a_rate_it_is_white_noise_acceleration() -> None:
     tiny = Parameters(MotionParameters(head_rate=1e-7))
     nearly = smooth_track(track, Model("joint-intentional", tiny)).track
     np.testing.assert_allclose(nearly.position, plain.position, atol=1e-6)
-
-
-def test_somebody_who_looks_aside_is_expected_to_go_there() -> None:
-    n, dt = 30, 0.1
-    t = dt * np.arange(n)
-    track = replace(
-        walk(n), t=t, position=1.2 * t[:, None] * unit(0.0), head=np.where(t < 1.5, 0.0, 1.2), body=None
-    )
-    hidden = withhold(track, t > 1.5)
-    ahead, steered = (track_online(hidden, preset) for preset in ("position", "intentional"))
-    assert abs(ahead.position[-1, 1]) < 1e-3 and steered.position[-1, 1] > 0.3
-    assert smooth_track(hidden, Model("intentional")).track.position[-1, 1] > 0.3
 
 
 @STEERED

@@ -13,7 +13,7 @@ from command import Done
 from command import run as run_program
 
 import graphtrack as gt
-from graphtrack.errors import InputError, InputWarning
+from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import class_centres, direction, wrap
 from graphtrack.interaction.attention import Attention, attention, attention_columns, summary_of
 from graphtrack.interaction.people import Place, read_places
@@ -138,25 +138,6 @@ def test_places_are_looked_at_the_larger_the_rather(tmp_path: Path) -> None:
     summary = summary_of(attention([still(1, 0.0, 0.0, 0.0)], [poster, stage]))
     seconds, intervals = summary.dwell["poster"][1]
     assert seconds > 2.0 and intervals == [(-0.25, 2.75)]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("name,x,y,radius\na,0,0,\n", "line 2: found place 'a' with neither radius nor polygon"),
-        ("name,x,y,radius\na,0,0,0\n", "line 2, column radius: found 0, expected metres above 0"),
-        ("name,x,y,radius\na,0,0,1\na,1,0,1\n", "line 3, column name: found the name 'a' again"),
-        ("name,polygon\na,0 0 1 1\n", "found 4 numbers, expected x y of three corners or more"),
-        ("name,x,y,radius\na,q,0,1\n", "line 2, column x: found 'q'"),
-        ("name,x,y\na,0,0\n", "expected name and x, y, radius, or name and polygon"),
-    ],
-)
-def test_places_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "places.csv"
-    path.write_text(text)
-    with pytest.raises(InputError) as told:
-        read_places(path)
-    assert message in str(told.value)
 
 
 def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:

@@ -208,25 +208,6 @@ def test_scores_of_the_truth_are_one_and_of_nothing_zero() -> None:
     assert matches([frozenset({1, 2, 7, 8})], [three], 2 / 3) == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("0.0 < ID_001 ID_x >\n", "line 1: found 'ID_x', expected the id of a person"),
-        ("0.0 < ID_001 >\n0.0 < ID_001 >\n", "line 2: found 0, expected a time after"),
-        ("1 2\n2 3\n", "line 2: found person 2 in a second group"),
-        ("frame,track_id,group\n0,1,0\n0,1,1\n", "line 3: found person 1 twice in frame 0"),
-        ("frame,track_id,group\n0,1,a\n", "line 2, column group: found 'a'"),
-        ("\n", "expected groups"),
-    ],
-)
-def test_groups_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "groups.txt"
-    path.write_text(text)
-    with pytest.raises(InputError) as told:
-        read_groups(path)
-    assert message in str(told.value)
-
-
 def test_unknown_people_and_overlaps_are_told(tmp_path: Path) -> None:
     path = tmp_path / "groups.txt"
     rows = np.zeros(2, dtype=np.int64), np.zeros(2), np.array([1, 2])

@@ -1,4 +1,4 @@
-"""Atomic writing: through links, with parallel writers, and after runs that were killed."""
+"""Atomic writing: through links, in parallel, after runs that were killed, and without POSIX."""
 
 from __future__ import annotations
 

@@ -18,6 +18,9 @@ from refusals import refused
 import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputError, InputWarning
+from graphtrack.interaction.people import read_places
+from graphtrack.interaction.tables import read_gaze
+from graphtrack.io.groups import read_groups
 from graphtrack.tracks.validation import LARGEST_ID
 
 DELIMITED = tuple(sample for sample in TEXT_SAMPLES if sample.format != "caviar")
@@ -340,3 +343,47 @@ def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(
     assert {track.track_id for track in io.read_identified(tmp_path / "merged.csv")} == {
         t.track_id for t in merged
     }
+
+
+SMALL_TABLES = [
+    (read_groups, "0.0 < ID_001 ID_x >\n", "line 1: found 'ID_x', expected the id of a person"),
+    (read_groups, "0.0 < ID_001 >\n0.0 < ID_001 >\n", "line 2: found 0, expected a time after"),
+    (read_groups, "1 2\n2 3\n", "line 2: found person 2 in a second group"),
+    (read_groups, "frame,track_id,group\n0,1,0\n0,1,1\n", "line 3: found person 1 twice in frame 0"),
+    (read_groups, "frame,track_id,group\n0,1,a\n", "line 2, column group: found 'a'"),
+    (read_groups, "\n", "expected groups"),
+    (read_places, "name,x,y,radius\na,0,0,\n", "line 2: found place 'a' with neither radius nor polygon"),
+    (read_places, "name,x,y,radius\na,0,0,0\n", "line 2, column radius: found 0, expected metres above 0"),
+    (read_places, "name,x,y,radius\na,0,0,1\na,1,0,1\n", "line 3, column name: found the name 'a' again"),
+    (read_places, "name,polygon\na,0 0 1 1\n", "found 4 numbers, expected x y of three corners or more"),
+    (read_places, "name,x,y,radius\na,q,0,1\n", "line 2, column x: found 'q'"),
+    (read_places, "name,x,y\na,0,0\n", "expected name and x, y, radius, or name and polygon"),
+    (read_gaze, "frame,track_id\n1,1\n", "no column target"),
+    (
+        read_gaze,
+        "frame,track_id,target\n1,1,1\n",
+        "line 2, column target: found '1', expected another person",
+    ),
+    (
+        read_gaze,
+        "frame,track_id,target\n1,1,-2\n",
+        "line 2, column target: found '-2', expected an id, or -1",
+    ),
+    (
+        read_gaze,
+        "frame,track_id,target\n1,1,0.5\n",
+        "line 2, column target: found '0.5', expected a whole number",
+    ),
+    (read_gaze, "frame,track_id,target\n1,1,2\n1,1,3\n", "line 3"),
+]
+
+
+@pytest.mark.parametrize(("reader", "text", "message"), SMALL_TABLES)
+def test_tables_of_groups_places_and_looks_are_refused_by_their_line(
+    reader: Callable[[Path], object], text: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "table.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as told:
+        reader(path)
+    assert message in str(told.value)

@@ -1,4 +1,4 @@
-"""Tracks as detections of supervision, which its annotators draw, and as frames of polars."""
+"""Tracks from and to supervision, Ultralytics, polars and GeoPandas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MOT text counts frames from 1: as written, as read back, and as TrackEval reads it."""
+"""MOT text counts frames from 1, as TrackEval reads it; folders of MOTChallenge, and URLs."""
 
 from __future__ import annotations
 

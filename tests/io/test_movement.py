@@ -1,4 +1,4 @@
-"""Datasets of movement: poses as observations, and tracks there and back."""
+"""Datasets of movement, DeepLabCut and SLEAP: poses as observations, and tracks there and back."""
 
 from __future__ import annotations
 
@@ -111,6 +111,7 @@ def test_units_cameras_and_the_order_of_dimensions_make_no_difference() -> None:
         gt.from_movement(in_centimetres, units="cm"),
         gt.from_movement(told),
         gt.from_movement(poses.rename(keypoints="keypoint", individuals="individual"), units="m"),
+        gt.from_movement(poses.drop_vars("space"), units="m"),
         gt.from_movement(in_pixels, homography=np.diag([0.01, -0.01, 1.0])),
     ):
         for track, other in zip(found, expected, strict=True):
@@ -149,6 +150,7 @@ def in_space(poses: Any) -> Any:
     [
         (lambda poses: poses.drop_vars("position"), {"units": "m"}, "no variable position.*load_dataset"),
         (in_space, {"units": "m"}, "space x, y, z.*--columns"),
+        (lambda poses: in_space(poses).drop_vars("space"), {"units": "m"}, "space 0, 1, 2.*--columns"),
         (lambda poses: poses, {}, "unknown unit.*--units m.*--metres-per-pixel"),
         (lambda poses: poses.assign_coords(space=["rho", "phi"]), {"units": "m"}, "space rho, phi"),
         (lambda poses: poses.expand_dims(view=["left"]), {"units": "m"}, r"dimension view.*dataset\.sel"),

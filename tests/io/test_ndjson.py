@@ -1,4 +1,4 @@
-"""NDJSON as a file, answers of a stream read as one, and notes on speeds that no pedestrian has."""
+"""NDJSON and TrajNet++ files, answers of a stream, and notes on speeds that no pedestrian has."""
 
 import json
 import re

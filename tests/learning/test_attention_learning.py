@@ -14,7 +14,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.interaction.attention import AttentionParameters, attention
 from graphtrack.interaction.scores import score_gaze
-from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, read_gaze, save_parameters
+from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, save_parameters
 from graphtrack.learning.interaction import fit_attention
 from graphtrack.simulation.scenario import Party, party
 
@@ -53,24 +53,6 @@ def test_labels_that_are_sure_of_the_truth_score_best() -> None:
     assert (score.right, score.log_score, score.calibration_error) == (1.0, 0.0, 0.0)
     half = score_gaze(sure, labels, (7.0, np.inf))
     assert 0 < half.frames < score.frames
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("frame,track_id\n1,1\n", "no column target"),
-        ("frame,track_id,target\n1,1,1\n", "line 2, column target: found '1', expected another person"),
-        ("frame,track_id,target\n1,1,-2\n", "line 2, column target: found '-2', expected an id, or -1"),
-        ("frame,track_id,target\n1,1,0.5\n", "line 2, column target: found '0.5', expected a whole number"),
-        ("frame,track_id,target\n1,1,2\n1,1,3\n", "line 3"),
-    ],
-)
-def test_labels_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "looks.csv"
-    path.write_text(text)
-    with pytest.raises(InputError) as told:
-        read_gaze(path)
-    assert message in str(told.value)
 
 
 def test_labels_of_others_and_of_no_look_are_told() -> None:

@@ -1,4 +1,4 @@
-"""Learning: evidence against exact likelihoods, recovery of simulated parameters."""
+"""Learning: evidence against exact likelihoods, recovery of simulated parameters, and of scenes."""
 
 from __future__ import annotations
 

@@ -87,20 +87,6 @@ def test_what_a_file_leaves_out_is_the_presets_own(tmp_path: Path, preset: str) 
     assert found == replace(own, motion=replace(own.motion, initial_speed_std=0.7))
 
 
-def test_presets_estimate_the_orientations_that_they_name() -> None:
-    assert {name: (Model(name).has_body, Model(name).has_head) for name in presets} == {
-        "position": (False, False),
-        "separate": (True, True),
-        "joint": (True, True),
-        "intentional": (False, True),
-        "joint-intentional": (True, True),
-        "full": (True, True),
-        "social": (True, True),
-        "joint-place": (True, True),
-        "joint-body": (True, True),
-    }
-
-
 @pytest.mark.parametrize("name", ["jiont", "model.json", "", "folder/position"])
 def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
     with pytest.raises(InputError, match="position, separate, joint") as caught:

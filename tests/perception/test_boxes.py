@@ -1,4 +1,4 @@
-"""Boxes of people from files: used, skipped with a report, and refused."""
+"""Boxes of people from files: their frames, what is used, skipped with a report, and refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawn estimates: positions in the image, and the content of the disk."""
+"""Drawn estimates and drawn people: positions in the image, colours, and files."""
 
 from __future__ import annotations
 

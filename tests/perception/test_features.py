@@ -1,4 +1,4 @@
-"""Features against definitions written out another way."""
+"""Features against definitions written out another way; the papers' printed forms by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Splits of the network's last layer, and heads cut out of CAVIAR's frames."""
+"""Heads by the network: splits of its last layer, heads of CAVIAR's frames, and known poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`perception observe` with a user's networks, and with other libraries' boxes."""
+"""A user's networks in ONNX files, `perception observe` with them, and boxes of other libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From pictures to the table of observations: angles, tracks and models."""
+"""From pictures to the table of observations: angles, tracks, models, and people who lean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Sigma-Pi tracker on small synthetic videos, and its equations written out."""
+"""The Sigma-Pi tracker: its cues and equations written out, synthetic videos, and recordings."""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+"""Figures: what is drawn of tracks, angles and errors, their shapes, and legibility."""
+
 import re
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The page's scripts that touch no page, run in node."""
+"""The replay's data, and the page's scripts that touch no page, run in node."""
 
 import json
 from dataclasses import replace

@@ -1,3 +1,5 @@
+"""The corpus of the intentional tracker's paper, and strollers of another model than the estimator's."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -92,22 +94,6 @@ def test_tracks_are_the_arrays_in_seconds() -> None:
     everyone = [simulate_behaviour(b, replace(SMALL, tracks=5), rng=np.random.default_rng(0)) for b in (0, 6)]
     ids = [track.track_id for part in everyone for track in part.tracks()]
     assert len(set(ids)) == 10
-
-
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
-        ({"tracks": 0}, "tracks"),
-        ({"steps": 100}, "100 steps"),
-        ({"speed": 0.0}, "speed"),
-        ({"head_std": -1.0}, "head_std"),
-        ({"turn_steps": (3, 3)}, "turn_steps"),
-        ({"turn_steps": (0, 1, 1, 1, 1, 1)}, "turn_steps"),
-    ],
-)
-def test_parameters_out_of_range(wrong: dict[str, object], named: str) -> None:
-    with pytest.raises(InputError, match=named):
-        CorpusParameters(**wrong)  # type: ignore[arg-type]
 
 
 def test_no_such_behaviour_and_rate() -> None:

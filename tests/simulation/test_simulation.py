@@ -1,4 +1,4 @@
-"""Simulated tracks have the statistics of the model they are sampled from."""
+"""Simulated tracks and courses of angles have the statistics of the model they are sampled from."""
 
 from __future__ import annotations
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
+from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib import import_module
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
+from typing import Any
 
 import pytest
 
@@ -19,20 +22,26 @@ class Done:
     stderr: str
 
 
-def run(*arguments: object, program: str = "perception") -> Done:
-    """Run a program's command line in this process, since imports take longer than the command."""
+def run(*arguments: object, program: str = "perception", rows: Iterable[Any] | None = None) -> Done:
+    """Run a program's command line in this process, since imports take longer than the command.
+
+    ``rows`` come to it as lines of JSON on the standard input.
+    """
     main = import_module(f"{program}.cli").main
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", [program, *map(str, arguments)])
+        if rows is not None:
+            lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
+            patch.setattr(sys, "stdin", TextIOWrapper(BytesIO(lines)))
         with pytest.raises(SystemExit) as end:
             main()
     return Done(int(end.value.code or 0), out.getvalue(), err.getvalue())
 
 
-def ran(*arguments: object, program: str = "perception") -> Done:
+def ran(*arguments: object, **options: Any) -> Done:
     """Run a program's command line, which must succeed."""
-    done = run(*arguments, program=program)
+    done = run(*arguments, **options)
     assert done.returncode == 0, done.stderr
     return done
 

@@ -6,6 +6,7 @@ import math
 import threading
 import weakref
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
 
@@ -32,6 +33,7 @@ from graphtrack.inference.state import (
     Window,
     leaving,
 )
+from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import N, Problem
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
@@ -47,7 +49,7 @@ _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
-SLOTS = 32  # Windows per block
+SLOTS = 128  # Windows per block
 _LEAST_FRAMES = 64
 
 
@@ -135,10 +137,10 @@ class FrameRows:
         record[self.place["dt"]] = 0.0 if step.dt is None else step.dt
         for name, value in self._packer.live(observation):
             record[self.place[name]] = value
-        if len(packed.body_heights):
-            problem.body_heights[row] = packed.body_heights[0]
-        if len(packed.head_heights):
-            problem.head_heights[row] = packed.head_heights[0]
+        if step.is_ambiguous:
+            body, head = packed.body_heights, packed.head_heights
+            problem.body_heights[row : row + len(body)] = body
+            problem.head_heights[row : row + len(head)] = head
         return packed
 
 
@@ -262,7 +264,7 @@ class ChainWindow:
             prior = window.prior.rows(origin)
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
-        size = _size_for(len(window.steps))
+        n, size = len(window.steps), _size_for(len(window.steps))
         if size == len(self._states):
             self._clear()
         else:
@@ -272,17 +274,15 @@ class ChainWindow:
         self._has_prior, self._anchor = window.prior is not None, window.anchor
         for k, step in enumerate(window.steps):
             self._put(k, step, k > 0)
-            self._set(k, window.states[k])
-        self._offsets[1] = len(window.steps)
-        self._steps = [step.alone() for step in window.steps]
-        for k in range(1, len(window.steps)):
-            # Angles are unwrapped to follow the previous step.
-            turn = self._states[k, 4:] - self._states[k - 1, 4:]
-            self._states[k, 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
-        if window.prior is not None and window.steps:
-            turn = self._states[0, 4:] - self._prior[N + 1, 4:]
-            self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
-        if window.steps and self._model.has_modes:
+        self._offsets[1], self._steps = n, [step.alone() for step in window.steps]
+        states = self._states[:n]
+        states[:] = np.nan_to_num(window.states)
+        states[:, :2] -= origin
+        # Angles are unwrapped to follow the prior and the previous step.
+        point = self._prior[N + 1 :, 4:] if self._has_prior else states[:1, 4:]
+        turns = np.round(np.diff(states[:, 4:], axis=0, prepend=point) / (2.0 * np.pi))
+        states[:, 4:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
+        if n and self._model.has_modes:
             # The couplings given these states.
             _advanced([self], NOTHING, self._steps[-1:], solves=False)
 
@@ -336,7 +336,7 @@ class ChainWindow:
         """Write a step into the row after the newest."""
         if self._offsets[1] == len(self._states):
             self._make_room()
-        self._put(self._offsets[1], step, bool(self._steps))
+        self._put(self._offsets.item(1), step, bool(self._steps))
 
     def _put(self, row: int, step: Step, linked: bool) -> None:
         """Write a step into a row of the arrays; ``linked`` if it has a previous step in the window."""
@@ -344,45 +344,43 @@ class ChainWindow:
         if not linked:
             for name in self._program.links:
                 self._frames.rows[row, self._frames.place[name]] = 0.0
-        self._ambiguous = self._ambiguous or bool(len(packed.body_heights) + len(packed.head_heights))
-
-    # -- solving -------------------------------------------------------------------------------------------
+        if step.is_ambiguous:
+            self._ambiguous |= bool(len(packed.body_heights) + len(packed.head_heights))
 
     def _solved(self, adds: int, step: Step) -> Newest:
         """Solve the window, with a further step or unchanged; return the newest estimate."""
-        (found,) = _solved_together([self], adds, [step])
+        (found,) = _taken([self], adds, [step], *_advanced([self], adds, [step]))
         if isinstance(found, Exception):
             raise found
         return found
 
-    def _leaving(self, newest: Step) -> int:
-        """Return the number of steps that leave the window with a new one."""
-        return leaving(self._steps, self._lag, newest)
 
-
-def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:
-    """Add a step, not the first, to each of some windows; return the newest states or the errors."""
+def extend_together(
+    windows: Sequence[ChainWindow], steps: Sequence[Step], threads: ThreadPoolExecutor | None = None
+) -> list[Newest | Exception]:
+    """Add a step, not the first, to each of some windows, in ``threads``; return the states or the errors."""
     found: list[Newest | Exception | None] = [None] * len(windows)
-    groups: dict[tuple[int, int], list[int]] = {}
+    groups: dict[tuple[int, int, int], list[int]] = {}
+    parts = 1 if threads is None else processors()
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
         try:
             window._put_next(step)
         except FAILURES as error:
             found[k] = error
         else:
-            groups.setdefault((id(window._slot.windows), id(window._rules)), []).append(k)
-    for slots in groups.values():
-        some = _solved_together([windows[k] for k in slots], PREDICTED, [steps[k] for k in slots])
-        for k, one in zip(slots, some, strict=True):
-            found[k] = one
+            groups.setdefault((id(window._slot.windows), id(window._rules), k % parts), []).append(k)
+    some = [([windows[k] for k in group], PREDICTED, [steps[k] for k in group]) for group in groups.values()]
+    there = [threads.submit(_advanced, *one) if threads and n % parts else None for n, one in enumerate(some)]
+    for group, one, call in zip(groups.values(), some, there, strict=True):
+        for k, newest in zip(group, _taken(*one, *(call.result() if call else _advanced(*one))), strict=True):
+            found[k] = newest
     return found  # type: ignore[return-value]  # all are filled
 
 
-def _solved_together(
-    windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step]
+def _taken(
+    windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step], advanced: Advanced, leave: list[int]
 ) -> list[Newest | Exception]:
-    """Solve windows of one block and with the same rules; new frames are in their next rows."""
-    advanced = _advanced(windows, adds, steps)
+    """Take the results of `_advanced` for some windows; return the newest states or the errors."""
     found: list[Newest | Exception] = []
     fine, modes = advanced.fine.tolist(), advanced.modes.tolist()
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
@@ -392,9 +390,8 @@ def _solved_together(
             continue
         if adds:
             window._steps.append(step.alone())
-        leaving = window._leaving(step)
-        if leaving:
-            del window._steps[:leaving]
+        if leave[k]:
+            del window._steps[: leave[k]]
             window._has_prior = True
         window.modes = (modes[k][0], modes[k][1], modes[k][2])
         found.append((advanced.state[k], advanced.covariance[k]))
@@ -403,17 +400,18 @@ def _solved_together(
 
 def _advanced(
     windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step], solves: bool = True
-) -> Advanced:
-    """The compiled call."""
+) -> tuple[Advanced, list[int]]:
+    """The compiled call; its results, and the number of steps that leave each window."""
     first, n = windows[0], len(windows)
+    leave = [solves * leaving(one._steps, one._lag, step) for one, step in zip(windows, steps, strict=True)]
     tasks = [
-        (one._slot.number, adds, solves, one._warm, one._ambiguous, one._leaving(step) if solves else 0)
-        for one, step in zip(windows, steps, strict=True)
+        (one._slot.number, adds, solves, one._warm, one._ambiguous, gone)
+        for one, gone in zip(windows, leave, strict=True)
     ]
     found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 3), math.nan))
     gait = gait_of_model(first._model) if first._model.has_modes else None
     advance(first._slot.windows, np.array(tasks, TASK), first._rules, gait, found)
-    return found
+    return found, leave
 
 
 def _size_for(frames: int) -> int:

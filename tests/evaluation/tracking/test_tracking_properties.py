@@ -1,4 +1,4 @@
-"""Properties of the scores in any scene, and the input and output of `score`."""
+"""Properties of the scores in any scene, events of identities, and input and output of `score`."""
 
 from dataclasses import replace
 
