@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import resource
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,3 +135,33 @@ def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> Non
     assert 0.5 * first < density[40] < first and density[199] < 0.9 * density[40]
     assert set(density[200:]) == {0.02}
     assert max(sizes[100:200]) <= max(sizes[:100]) + 40  # dropped detections bound the memory
+
+
+def resident_mebibytes() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_the_memory_of_a_tracker_stays_flat(capsys: pytest.CaptureFixture[str]) -> None:
+    """20,000 frames in which people come and go, some of them missed."""
+    rng, tracker, sizes, used = np.random.default_rng(0), gt.OnlineTracker("position"), [], []
+    position, velocity = rng.uniform(-8.0, 8.0, (8, 2)), rng.normal(0.0, 1.0, (8, 2))
+    people = set[int]()
+    for k in range(20_000):
+        position = position + 0.1 * velocity
+        gone = np.abs(position).max(axis=1) > 8.0
+        count = int(gone.sum())
+        position[gone] = np.column_stack([rng.choice([-8.0, 8.0], count), rng.uniform(-8.0, 8.0, count)])
+        velocity[gone] = np.column_stack([-np.sign(position[gone, 0]), rng.normal(0.0, 0.3, count)])
+        seen = position[rng.random(8) > 0.1]
+        people |= {one.track_id for one in tracker.update(0.1 * k, seen + rng.normal(0.0, 0.05, seen.shape))}
+        if k + 1 in (5_000, 10_000, 20_000):
+            gc.collect()
+            sizes.append(len(json.dumps(tracker.state())) / 2**20)
+            used.append(resident_mebibytes())
+    with capsys.disabled():
+        print(f"\n{len(people)} people; MiB: state {np.round(sizes, 2)}, process {np.round(used, 1)}")
+    assert len(people) > 500 and len(tracker) < 40
+    assert sizes[-1] < 1.2 * sizes[0]
+    assert used[-1] - used[0] < 8.0

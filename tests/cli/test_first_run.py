@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import json
 import logging
+import os
 import re
+import subprocess
 import sys
 import time
 from itertools import count
@@ -23,8 +25,9 @@ SAID = "compiling, once on this machine"
 
 
 @pytest.fixture
-def cold(cwd, monkeypatch):
+def cold(tmp_path, monkeypatch):
     """A folder with tracks, on a machine where the first run of an engine compiles it."""
+    monkeypatch.chdir(tmp_path)
     gt.write(gt.simulate("joint", n_tracks=2, n_steps=5, rng=np.random.default_rng(0)), "tracks.csv")
     gt.write(gt.read("tracks.csv"), "tracks.parquet")
     clock, known = [0.0], set()
@@ -40,7 +43,7 @@ def cold(cwd, monkeypatch):
         monkeypatch.setattr(module, "make_ready", make_ready)
     ticks = count()
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0] + 1e-6 * next(ticks))
-    return cwd
+    return tmp_path
 
 
 def run(monkeypatch, capsys, line, stdin=""):
@@ -92,3 +95,19 @@ def test_bad_options_are_refused_before_anything_is_compiled(cold, monkeypatch, 
         with pytest.raises(SystemExit, match="2"):
             main()
         assert SAID not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_groups_and_looks_report_that_they_compile(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    table, program = tmp_path / "tracks.csv", [sys.executable, "-m", "graphtrack"]
+    subprocess.run([*program, "simulate", "-o", table, "--tracks", "2", "--steps", "20"], check=True)
+    for command in ("attention", "groups"):
+        found = subprocess.run(
+            [*program, command, table, "-o", tmp_path / "out.csv"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert ("compiling groups and looks" in found.stderr) == (command == "attention")

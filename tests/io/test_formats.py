@@ -152,6 +152,9 @@ def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.rad2deg(track.body), 90.0 - np.rad2deg(np.arctan2(2, 12)), atol=1e-9)
     gaze = np.deg2rad([0.0, 30.0, np.nan, 90.0, 120.0, 150.0])
     np.testing.assert_allclose(track.head, gaze, atol=1e-9)
+    mirror = GroundCamera(np.diag([0.01, 0.01, 1.0]))
+    mirrored = io.read_identified(tmp_path / sample_of("caviar").name, camera=mirror).by_id(0)
+    np.testing.assert_allclose(difference(mirrored.body, -track.body), 0.0, atol=1e-9)
 
 
 def test_kitti_brings_a_standing_person_to_one_place_from_a_moving_camera(tmp_path: Path) -> None:

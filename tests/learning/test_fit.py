@@ -97,6 +97,23 @@ def test_the_normaliser_of_an_angle_is_the_integral_of_what_it_costs(outliers: f
     assert mass == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+@pytest.mark.parametrize("classes", [np.eye(12)[3], np.arange(12) / 66.0, np.zeros(12)])
+def test_the_normaliser_of_class_likelihoods_is_the_integral_over_the_orientation(
+    outliers: float, classes: np.ndarray
+) -> None:
+    """Without any likelihood the orientation is uniform."""
+    likelihood = LikelihoodParameters(class_outlier_probability=outliers)
+    term = HeadLikelihood(Parameters(likelihood=likelihood))
+    track = Track(1, np.array([0]), np.array([0.0]), np.zeros((1, 2)), head_likelihood=np.array([classes]))
+
+    def density(angle: float) -> float:
+        states = States(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.array([angle]))
+        return float(np.exp(-term.cost(states, track) - term.log_normaliser(track)))
+
+    assert integrate.quad(density, -np.pi, np.pi)[0] == pytest.approx(1.0, abs=1e-6)
+
+
 def test_the_likelihood_of_the_truth_is_that_of_a_gaussian_about_the_estimate() -> None:
     (track,) = unknown("position", 3, 1, 20, truth=True)
     model = Model("position", steady(TRUE))

@@ -8,19 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run
+from made_up import observed, walker
 from made_up_behaviour import AHEAD, BAR, SCREEN, forecast, grouped, looking, standing
 from page_scripts import delta_decode, in_browser, in_node
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import wrap
 from graphtrack.interaction.attention import attention_columns
 from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.io.read_write import write_table
 from graphtrack.report.content import DataTable
-from graphtrack.report.html import render_report
+from graphtrack.report.html import packed, render_report
 from graphtrack.report.interaction import behaviour_of, by_main_group, group_spans
 from graphtrack.report.page import tracking_report
-from graphtrack.report.replay import COARSE_STEP, SURE_STEP
+from graphtrack.report.replay import COARSE_STEP, FAN_STEPS, MAX_DOING, MAX_FANS, SURE_STEP
 from graphtrack.tracks.track import TrackSet
 
 SCRIPTS = ("replay_data.js", "lives.js", "replay_draw.js", "behaviour.js")
@@ -285,6 +287,45 @@ def test_groups_are_told_by_their_spans(tracks):
     assert by_main_group(None, (3, 1)) == [3, 1]
 
 
+@pytest.mark.slow
+def test_a_page_of_300_people_with_everything_stays_below_8_megabytes():
+    rng = np.random.default_rng(0)
+    n, people = 40, 300
+    places = 40.0 * rng.random((people, 2))
+
+    def noisy(i):
+        one = walker(i, n=n, hz=2.5)
+        position = places[i] + np.cumsum(rng.normal(0.0, 0.1, (n, 2)), axis=0)
+        angles = {name: wrap(getattr(one, name) + rng.normal(0.0, 0.3, n)) for name in ("body", "head")}
+        spread = one.covariance * rng.random((n, 1, 1))
+        return walker(i, n=n, hz=2.5, position=position, covariance=spread, **angles)
+
+    tracks = TrackSet(tuple(noisy(i) for i in range(people)))
+    rows = grouped(tracks)
+    rows = replace(
+        rows,
+        group=np.where(rng.random(len(rows)) < 0.2, -1, rows.track_id // 4),
+        probability=rng.random(len(rows)),
+        centre=places[rows.track_id] + rng.normal(0.0, 0.1, (len(rows), 2)),
+    )
+    looks = [replace(one, probability=rng.dirichlet(np.full(people, 0.02), n)) for one in looking(tracks)]
+    made = forecast(tracks, every=1)
+    noise = {name: made.columns[name] + rng.normal(0.0, 0.1, len(made)) for name in ("x", "y")}
+    wide = {name: rng.random(len(made)) for name in ("radius_50", "radius_90")}
+    made = replace(made, columns={**made.columns, **noise, **wide})
+    given = behaviour_of(tracks, groups=rows, attention=looks, forecast=made)
+    seen = TrackSet(tuple(observed(track) for track in tracks))
+    report = tracking_report(tracks, seen, behaviour=given)
+    of_people = report.replay["people"]
+    fans = len(packed([{k: v for k, v in one.items() if k.startswith("fan_")} for one in of_people]))
+    shown = sum(len(one["fan_t"]) for one in of_people)
+    whole = len(packed(report.replay))
+    rest = len(render_report(report).encode()) - whole
+    # However many minutes: so many samples and so many forecasts go into a page.
+    most_fans = fans * MAX_FANS / shown * FAN_STEPS / len(AHEAD)
+    assert rest + (whole - fans) * MAX_DOING / report.replay["kept"] + most_fans < 8_000_000
+
+
 def test_of_many_forecasts_some_are_shown_and_the_page_says_so(tracks, monkeypatch):
     monkeypatch.setattr("graphtrack.report.replay.MAX_FANS", 15)
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, forecast=forecast(tracks)))
@@ -329,13 +370,14 @@ def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
 
 
 @pytest.fixture
-def here(tracks, cwd):
+def here(tracks, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     gt.write(tracks, "tracks.csv")
     write_table(grouped(tracks).columns(), "groups.csv")
     write_table(attention_columns(looking(tracks, (BAR,))), "attention.csv")
     write_table(forecast(tracks).columns, "forecast.csv")
-    (cwd / "places.csv").write_text("name,x,y,radius\nbar,4,3,0.5\n")
-    return cwd
+    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,4,3,0.5\n")
+    return tmp_path
 
 
 def graphtrack(line):
