@@ -433,8 +433,8 @@ class Moves:
         parts = min(processors(), len(rows) // _ROWS_OF_A_THREAD)
         if self._threads is None or parts < 2:
             return [some(rows)]
-        own, *others = np.array_split(rows, parts)
-        there = [self._threads.submit(some, part) for part in others]
+        own, *further = np.array_split(rows, parts)
+        there = [self._threads.submit(some, part) for part in further]
         return [some(own), *(one.result() for one in there)]
 
     def roots(self) -> tuple[IntArray, FloatArray]:
