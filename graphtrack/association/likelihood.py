@@ -417,7 +417,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 def born(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
     """Evidence of the track from detection k on, as of a new person, over that of false detections.
 
-    ``state``: memory, here and below
+    ``state`` (STATE,) is overwritten.
     """
     value = begin(chains.rows[k], scene, state)
     value += run_on(chains, state, k, scene)
@@ -427,7 +427,10 @@ def born(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
 
 @compiled
 def state_after(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
-    """Evidence of the whole track of detection k, whose link to the next detection may be new."""
+    """Evidence of the whole track of detection k, whose link to the next detection may be new.
+
+    ``state`` (STATE,) is overwritten.
+    """
     m = chains.rows[k].following
     if m < 0:
         return chains.rows[k].total + ending(chains, k, scene)

@@ -434,8 +434,8 @@ class Moves:
         if self._threads is None or parts < 2:
             return [some(rows)]
         own, *further = np.array_split(rows, parts)
-        there = [self._threads.submit(some, part) for part in further]
-        return [some(own), *(one.result() for one in there)]
+        calls = [self._threads.submit(some, part) for part in further]
+        return [some(own), *(call.result() for call in calls)]
 
     def roots(self) -> tuple[IntArray, FloatArray]:
         """Return the first detection of each detection's track (n,), and at first detections its value.

@@ -94,7 +94,7 @@ def with_neighbours(
 def lasting(probability: FloatArray) -> FloatArray:
     """Least of the probabilities (n,) of a frame and of those next to it; NaN where that of the frame is.
 
-    Who joins or leaves turns between frames of which one is in the conversation: nothing holds that turn.
+    People who join or leave turn between a frame in the conversation and one outside: that turn is free.
     """
     around = np.nan_to_num(np.pad(probability, 1, mode="edge"))
     return np.minimum(probability, np.minimum(around[:-2], around[2:]))

@@ -249,7 +249,7 @@ def add_lags(
     calibration: Calibration,
     lags: FloatArray,
 ) -> None:
-    """Put into ``lags`` (3,), at first, the variances of the lags of body and head in frame k."""
+    """Write the variances of the lags of body and head in frame k into the first two of ``lags`` (3,)."""
     covariance, vx, vy = covariances[k], states[k, VX], states[k, VY]
     body, head, both = covariance[BODY, BODY], covariance[HEAD, HEAD], covariance[HEAD, BODY]
     across = covariance[BODY, VY] * vx - covariance[BODY, VX] * vy

@@ -369,10 +369,10 @@ def extend_together(
             found[k] = error
         else:
             groups.setdefault((id(window._slot.windows), id(window._rules), k % parts), []).append(k)
-    some = [([windows[k] for k in group], PREDICTED, [steps[k] for k in group]) for group in groups.values()]
-    there = [threads.submit(_advanced, *one) if threads and n % parts else None for n, one in enumerate(some)]
-    for group, one, call in zip(groups.values(), some, there, strict=True):
-        for k, newest in zip(group, _taken(*one, *(call.result() if call else _advanced(*one))), strict=True):
+    jobs = [([windows[k] for k in group], PREDICTED, [steps[k] for k in group]) for group in groups.values()]
+    calls = [threads.submit(_advanced, *job) if threads and n % parts else None for n, job in enumerate(jobs)]
+    for group, job, call in zip(groups.values(), jobs, calls, strict=True):
+        for k, newest in zip(group, _taken(*job, *(call.result() if call else _advanced(*job))), strict=True):
             found[k] = newest
     return found  # type: ignore[return-value]  # all are filled
 
