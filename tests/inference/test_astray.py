@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track
 
@@ -40,6 +41,19 @@ def test_the_path_is_found_again_online_as_soon_as_it_costs_less(seed: int) -> N
     off = np.linalg.norm(estimate.position - track.true_position, axis=1)
     assert off[ENDS - 2] > 1.0  # it had been followed
     assert off[ENDS + 5 :].max() < 0.25
+
+
+@pytest.mark.parametrize("axes", [[0, 1], [1, 0]], ids=["false down the image", "false across it"])
+def test_it_is_found_again_as_soon_in_pixels_as_in_metres(axes: list[int]) -> None:
+    """A camera that looks straight down: whichever way its image lies, pixels are scaled metres."""
+    track, model = walker(0), with_loss("separate", "cauchy", 5.0)
+    metres_per_pixel = STD / model.parameters.likelihood.pixel_std
+    homography = np.eye(3)
+    homography[:2, :2] = metres_per_pixel * np.eye(2)[axes]
+    camera = GroundCamera.from_homography(homography)
+    seen = replace(track, pixel=camera.ground_to_image(track.position), position_std=None)
+    found, expected = gt.track_online(seen, model, camera=camera), gt.track_online(track, model)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import graphtrack as gt
 def solver() -> None:
     """Smooth and track."""
     for preset in ("joint", "full"):
-        gt.warm_up(preset, large=preset == "full")
+        gt.warm_up(preset, large=True)
 
 
 def others() -> None:
