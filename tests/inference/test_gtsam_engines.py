@@ -113,6 +113,19 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
     assert np.abs(apart(found[-10:], expected[-10:])).max() < 5e-3
 
 
+def test_a_late_observation_far_back_in_a_window_is_followed_to_the_end() -> None:
+    """More steps back than are watched of a full history, so that only the oldest have far to go."""
+    track = replace(walk(90, seed=3, dt=0.02), head_kappa=np.full(90, 0.5))
+    seen = list(observations(track))
+    late = replace(seen.pop(8), head=float(track.head[8] + 2.5), head_kappa=50.0)
+    smoothers = []
+    for engine in ("isam2", "fixed-lag"):
+        smoother = OnlineSmoother("separate", engine=engine, lag=10.0, **CONVERGED)
+        assert [smoother.update(one).status for one in (*seen, late)][-1] == "late"
+        smoothers.append(np.array([state for _, state in smoother.history()]))
+    assert np.abs(apart(*smoothers)).max() < 1e-3
+
+
 @pytest.mark.parametrize("preset", sorted(presets))
 def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str) -> None:
     """With the defaults: the error of one Gauss–Newton step each, in standard deviations."""
