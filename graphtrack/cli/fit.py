@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -216,17 +216,8 @@ def _scene(
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
     """Return parameters before and after, a row each."""
-    return [
-        {
-            "parameter": one.name,
-            "before": one.start,
-            "after": one.value,
-            "95 % from": one.low,
-            "to": one.high,
-            "": one.note,
-        }
-        for one in found.learned
-    ]
+    headings = ("parameter", "before", "after", "95 % from", "to", "")
+    return [dict(zip(headings, astuple(one), strict=True)) for one in found.learned]
 
 
 def score_rows(found: Fit) -> list[dict[str, object]]:
@@ -277,17 +268,7 @@ def scene_rows(found: SceneFit) -> list[dict[str, object]]:
 def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
     """Return log density before and after, a row for each part of the recording."""
     return [
-        {
-            "": name,
-            "seconds": part.seconds,
-            "detections": part.detections,
-            "people": part.people,
-            "false": part.false,
-            "before": part.before,
-            "after": part.after,
-            "gain": part.after - part.before,
-        }
-        for name, part in found.parts.items()
+        {"": name, **asdict(part), "gain": part.after - part.before} for name, part in found.parts.items()
     ]
 
 

@@ -119,6 +119,18 @@ class Forecast:
     radius_90: FloatArray
     samples: FloatArray
 
+    def columns(self) -> dict[str, FloatArray]:
+        """Columns (n, A) of a table of forecasts: means, their spread, and the radii."""
+        return {
+            "x": self.position[..., 0],
+            "y": self.position[..., 1],
+            "x_std": np.sqrt(self.covariance[..., 0, 0]),
+            "y_std": np.sqrt(self.covariance[..., 1, 1]),
+            "xy_cov": self.covariance[..., 0, 1],
+            "radius_50": self.radius_50,
+            "radius_90": self.radius_90,
+        }
+
 
 def times_ahead(horizon: float, step: float) -> FloatArray:
     """Return times every ``step`` seconds up to ``horizon``.

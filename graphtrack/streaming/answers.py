@@ -105,16 +105,7 @@ STEP = 0.4
 
 def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
     """Return the forecasts of each person: a dictionary for each time ahead."""
-    variance = forecast.covariance
-    columns = {
-        "x": forecast.position[..., 0],
-        "y": forecast.position[..., 1],
-        "x_std": np.sqrt(variance[..., 0, 0]),
-        "y_std": np.sqrt(variance[..., 1, 1]),
-        "xy_cov": variance[..., 0, 1],
-        "radius_50": forecast.radius_50,
-        "radius_90": forecast.radius_90,
-    }
+    columns = forecast.columns()
     ahead = forecast.ahead.round(9).tolist()
     numbers = np.stack(list(columns.values()), axis=2).tolist()
     return {
