@@ -222,11 +222,11 @@ def test_unknown_people_and_overlaps_are_told(tmp_path: Path) -> None:
 
 
 def test_the_command_writes_what_it_reads_and_learns(tmp_path: Path) -> None:
-    gt.write(party(160), tmp_path / "party.csv")
+    gt.write(party(60), tmp_path / "party.csv")
     run("groups", tmp_path / "party.csv", "-o", tmp_path / "groups.csv")
     lines = (tmp_path / "groups.csv").read_text().splitlines()
     assert lines[0] == "frame,t,track_id,group,kind,probability,centre_x,centre_y"
-    assert len(lines) == 1 + 8 * 160
+    assert len(lines) == 1 + 8 * 60
     done = run("score", tmp_path / "groups.csv", "--truth", tmp_path / "groups.csv")
     assert "1" in done.stdout
     run("fit", tmp_path / "party.csv", "--groups", tmp_path / "groups.csv", "-o", tmp_path / "learned.toml")
