@@ -18,7 +18,7 @@ from refusals import refused
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.interaction.tables import load_parameters
+from graphtrack.interaction.parameters import GroupParameters
 
 HEADER = "track_id,frame,t,x,y"
 ROWS = [HEADER, *(f"1,{k},{k / 10},{k / 20},0" for k in range(20))]
@@ -128,6 +128,6 @@ def test_half_a_surrogate_pair_is_no_text(tmp_path: Path, name: str) -> None:
 def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = " + "[" * 50_000 + "]" * 50_000)
-    for load in (gt.Model.load, gt.ForecastParameters.load, load_parameters):
+    for load in (gt.Model.load, gt.ForecastParameters.load, GroupParameters.load):
         with pytest.raises(InputError, match="brackets within brackets"):
             load(path)
