@@ -57,15 +57,18 @@ def page() -> str:
     return _rendered("page.html")
 
 
-@cache
-def _rendered(template: str) -> str:
-    document = openapi()
-    addresses = [
+def addresses() -> list[tuple[str, str, str]]:
+    """Return the method, the path and the summary of each address."""
+    return [
         (method.upper() if "101" not in call["responses"] else "WS", path, call["summary"])
-        for path, calls in document["paths"].items()
+        for path, calls in openapi()["paths"].items()
         for method, call in calls.items()
         if method != "parameters"
     ]
+
+
+@cache
+def _rendered(template: str) -> str:
     loader = PackageLoader("graphtrack.service", "assets")
     made = Environment(
         loader=loader,
@@ -74,4 +77,4 @@ def _rendered(template: str) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    return made.get_template(template).render(document, addresses=addresses)
+    return made.get_template(template).render(openapi(), addresses=addresses())
