@@ -67,7 +67,7 @@ def track(monkeypatch, capsys):
     ("engine", "lag"), [("chain", "2"), ("fixed-lag", "2"), ("isam2", "0.3"), ("isam2", "none")]
 )
 def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
-    lines, state = scene(60 if engine == "chain" else 20, people=2), tmp_path / "state"
+    lines, state = scene(60 if engine == "chain" else 17, people=2), tmp_path / "state"
     # With modes iSAM2 goes on within its tolerances alone: couplings are linearised where they are by then.
     model = "joint" if engine == "isam2" else "full"
     half, options = len(lines) // 2, ("--engine", engine, "--lag", lag, "--model", model)
@@ -82,7 +82,7 @@ def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
 
 @pytest.mark.parametrize("lag", ["0.3", "none"])
 def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
-    lines, options = scene(16, people=2), ("--engine", "isam2", "--lag", lag, "--model", "full")
+    lines, options = scene(13, people=2), ("--engine", "isam2", "--lag", lag, "--model", "full")
     half, state = len(lines) // 2, ("--state", tmp_path / "state")
     _, whole, _ = track(lines, *options)
     _, found, _ = track(lines[:half], *options, *state)

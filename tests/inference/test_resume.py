@@ -126,8 +126,13 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
     assert all(through_json(later()) == now for now, later in taken)
 
 
-@pytest.mark.parametrize("preset", ["separate", "joint"])
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(
+    ("preset", "scene"),
+    others_slow(
+        [(preset, scene) for preset in ("separate", "joint") for scene in SCENES],
+        [("separate", "angles"), ("joint", "classes"), ("joint", "pixels")],
+    ),
+)
 def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, scene: str) -> None:
     options: dict[str, Any] = {"engine": "chain", "lag": 2.0, "camera": CAMERA}
     smoother, anew = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)

@@ -62,7 +62,7 @@ def labels_of(made: Party) -> GroupLabels:
 
 
 def test_what_is_learned_faces_as_people_do() -> None:
-    made, other = (simulated(np.random.default_rng(seed), people=10, steps=120, fps=0.5) for seed in (1, 2))
+    made, other = (simulated(np.random.default_rng(seed), people=10, steps=80, fps=0.5) for seed in (1, 2))
     learned = fit_groups(made.tracks, labels_of(made), hold_out=0.0).parameters
     people = people_of(hidden(other.tracks))
     evidence = pair_evidence(people, learned)
