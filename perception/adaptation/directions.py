@@ -22,7 +22,7 @@ from scipy.special import log_softmax
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.model import Model
 from perception.adaptation.labels import Window, cut, in_patch, of_patch
-from perception.images.pixels import Image, grey
+from perception.images.pixels import Image, grey, suppressed
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import fit_temperature_and_share, reliability, with_neighbours
 from perception.pose.features import BINS
@@ -142,12 +142,11 @@ class HeadTemplates:
     def candidates(self, patch: Image, most: int = 3) -> HeadCandidates:
         """Return heads in a patch, best first, in heights of the box from the middle of its top."""
         scores = self.scores(patch)
-        left = np.argsort(-scores, kind="stable")
-        kept: list[int] = []
-        while len(left) and len(kept) < most:
-            best = int(left[0])
-            kept.append(best)
-            left = left[np.maximum(np.abs(_X[left] - _X[best]), np.abs(_Y[left] - _Y[best])) > 2]
+
+        def near(k: int, left: NDArray[np.int64]) -> NDArray[np.bool_]:
+            return np.maximum(np.abs(_X[left] - _X[k]), np.abs(_Y[left] - _Y[k])) <= 2
+
+        kept = suppressed(scores, near, most)
         size = np.array([HEAD_WIDTH, HEAD_HEIGHT])
         boxes = np.hstack([_HEAD_POSITIONS[kept] - size / 2.0, np.broadcast_to(size, (len(kept), 2))])
         return HeadCandidates(boxes, scores[kept])

@@ -26,7 +26,7 @@ from perception.detection.hog import (
     resized,
     window_at,
 )
-from perception.images.pixels import Image
+from perception.images.pixels import Image, suppressed
 
 LEAN = 0.5
 """Largest lateral shift of the head, in heights, of a person treated as upright in the image."""
@@ -331,15 +331,12 @@ def strongest(
     apart : metres to the side and upwards, half axes of an ellipse in the upright plane at the person
     most : largest number of results; None: all
     """
-    alive, kept = np.ones(len(score), bool), []
-    for k in np.argsort(-score, kind="stable").tolist():
-        if alive[k]:
-            kept.append(k)
-            if len(kept) == most:
-                break
-            away = (foot - foot[k]) * (_PERSON / height[k]) / np.array(apart)
-            alive &= np.einsum("nk,nk->n", away, away) >= 1.0
-    return np.array(kept, np.int64)
+
+    def near(k: int, left: NDArray[np.int64]) -> NDArray[np.bool_]:
+        away = (foot[left] - foot[k]) * (_PERSON / height[k]) / np.array(apart)
+        return np.asarray(np.einsum("nk,nk->n", away, away) < 1.0)
+
+    return np.array(suppressed(score, near, most), np.int64)
 
 
 def joined(candidates: Candidates, apart: tuple[float, float] = APART) -> Candidates:

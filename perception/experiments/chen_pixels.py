@@ -19,10 +19,8 @@ from graphtrack.experiments import chen_classes
 from graphtrack.experiments.chen_classes import scores
 from graphtrack.experiments.chen_joint import POSITION_STD, Scores, detail, draw_errors, published_table
 from graphtrack.experiments.harness import (
-    ASKANCE,
+    GAITS,
     MOCAP,
-    TURNING,
-    WALKING,
     Cell,
     Experiment,
     Parts,
@@ -30,7 +28,6 @@ from graphtrack.experiments.harness import (
     Settings,
     Table,
     evenly,
-    quietly,
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray, class_centres, difference, unit
@@ -43,7 +40,7 @@ from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, joi
 from perception.images.pixels import Image
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
-from perception.pose.classes import PoseClasses, interpolated
+from perception.pose.classes import PoseClasses, image_likelihood
 from perception.pose.classifier import FeatureClassifier
 from perception.synthetic import make_heads, make_pedestrians
 from perception.synthetic.clips import Clip, walking_clip
@@ -210,18 +207,12 @@ Answers = Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
     """Return people by source, with noisy positions, at ten frames a second."""
-    count = 2 if settings.quick else 12
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
+    count, clips = settings.few(12, 2), settings.tracks(*MOCAP)
+    if clips is None:
         found = {"drawn from the joint model": simulate("joint", n_tracks=count, rng=settings.rng(20))}
     else:
-        clips = quietly(mocap)
-        sources = {"walking": (WALKING,), "turning": (TURNING,), "sideways and back": ASKANCE}
-        found = {
-            f"mocap, {name}": evenly(clips.select(*patterns).map(thinned), count, 2.0)
-            for name, patterns in sources.items()
-            if name == "walking" or not settings.quick
-        }
+        sources = list(GAITS.items())[: settings.few(len(GAITS))]
+        found = {name: evenly(clips.select(*of).map(thinned), count, 2.0) for name, of in sources}
     return {
         name: add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(21, i))
         for i, (name, tracks) in enumerate(found.items())
@@ -264,9 +255,7 @@ def classified(
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
     """Convert likelihoods (n, n_pan) in the image to (n, wanted) in the world; rows sum to 1."""
-    at = np.broadcast_to(PoseClasses.circle(wanted).pan - ray, (len(log_likelihood), wanted))
-    found = interpolated(np.exp(log_likelihood), classes, at)
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+    return image_likelihood(log_likelihood, classes, replace(PoseClasses.circle(wanted), first=-ray))
 
 
 def known_poses(
