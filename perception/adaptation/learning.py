@@ -364,9 +364,8 @@ def adapted(
 def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
     """Join labels of several recordings with different people."""
     start = np.append(0, _ends(walking))
-    parts = [(one.box, one.person + k, one.angle, one.std) for one, k in zip(walking, start, strict=False)]
-    found = WalkingLabels.joined(parts, sum(one.tracks for one in walking))
-    return replace(found, count=np.concatenate([one.count for one in walking]))
+    parts = [(one.box, one.person + k, one.angle, one.count) for one, k in zip(walking, start, strict=False)]
+    return WalkingLabels.joined(parts, sum(one.tracks for one in walking))
 
 
 def _ends(walking: Sequence[WalkingLabels]) -> NDArray[np.int64]:
