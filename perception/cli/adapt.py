@@ -136,14 +136,6 @@ def check_adapt(streamed: bool, camera: Path | None, models: Sequence[object]) -
         raise InputError("--adapt with other models", "one of them")
 
 
-def stamp_of_camera(camera: GroundCamera | None) -> object:
-    """Return a key of a camera's parameters."""
-    if camera is None:
-        return None
-    values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)
-    return camera.lens, [None if value is None else value.tolist() for value in values]
-
-
 def _sentence(models: CameraModels) -> str:
     card = models.card
     errors = " and ".join(f"{card.figures[f'{part}_error_deg']:.0f}° ({part})" for part in ("body", "head"))
@@ -208,11 +200,10 @@ def adapt(
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, output_paths, given, strict=True):
             clock = camera.clock(frames)
-            if of_recording is None:
-                search = PeopleSearch(frames, on_ground, clock, place, camera.stamps)
+            people = read_given_boxes(of_recording, frames, None, refuse)
+            if people is None:
+                search = PeopleSearch(frames, on_ground, clock, place)
                 people, _ = searches.enter_context(search.people(refuse))
-            else:
-                people = read_given_boxes(of_recording, frames, None, refuse)
             recordings.append(Recording(frames, people, clock))
         found = adapted(recordings, on_ground, PackageModels.load(), rng, progress_bar, refuse)
         found.models.save(output)

@@ -15,7 +15,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import adapt_models, check_adapt, stamp_of_camera
+from perception.cli.adapt import adapt_models, check_adapt
 from perception.cli.options import (
     Boxes,
     CameraOptions,
@@ -29,6 +29,7 @@ from perception.cli.options import (
     print_written,
     read_given_boxes,
     stamp_of,
+    stamp_of_camera,
 )
 from perception.cli.searching import (
     NetworkOptions,
@@ -170,9 +171,7 @@ def observe(
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}  # undecodable frames may be reported twice
     networks = network.load(frames)
-    if boxes is None and boxes_first_frame is not None:
-        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
-    given = None if boxes is None else read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
@@ -235,7 +234,7 @@ def _observe_file(
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
         if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
-            asked = (*options_of_camera.stamps, networks.asked)
+            asked = (networks.asked,)
             search = PeopleSearch(frames, camera, clock, output, asked, causal, one_size, networks.detector)
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:

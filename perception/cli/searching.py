@@ -17,7 +17,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.options import in_time, stamp_of
+from perception.cli.options import in_time, stamp_of, stamp_of_camera
 from perception.storage import key_of
 
 if TYPE_CHECKING:
@@ -248,7 +248,7 @@ class PeopleSearch:
     camera : view of the ground; None: people may have any size
     clock : times of the frames
     output : of the command; journals are written next to it
-    asked : settings that the result depends on, in addition to the frames
+    asked : settings that the result depends on, in addition to frames, camera and clock
     causal : whether a detection depends on its frame alone, without background or learning
     one_size : whether frames of several sizes are refused, as with a camera
     detector : the user's own, for every frame; None: the package's
@@ -275,7 +275,8 @@ class PeopleSearch:
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
 
-        key = key_of(self.frames.stamp(), self.clock, self.causal, *self.asked)
+        view = stamp_of_camera(self.camera)
+        key = key_of(self.frames.stamp(), self.clock, self.causal, view, *self.asked)
         of_detections, of_adapted = search_journals(self.output)
         started, before = time.process_time(), time.perf_counter()
         with ExitStack() as journals:
