@@ -43,7 +43,7 @@ from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
-    arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
+    arguments = write_street(pasted_street(16, np.random.default_rng(0)), folder / "street")
     done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     return folder / "camera.npz", done.stdout + done.stderr
 
@@ -141,12 +141,12 @@ def test_an_adapted_camera_sees_bodies_better_than_the_models_of_the_package(
 def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, str]) -> None:
     path, said = adapted
     card = CameraModels.load(path).card
-    assert card.parameters["people"] > 15
+    assert card.parameters["people"] > 10
     assert card.figures["body_expected_calibration_error"] < 0.15
     share = CameraModels.load(path).class_outlier_probability
     graph = Model.named(path.with_name("graph.toml")).parameters.likelihood
     assert share is not None and graph.class_outlier_probability == pytest.approx(share)
-    for text in ("in 24 tracks", "boxes as given", "expected calibration error"):
+    for text in ("in 16 tracks", "boxes as given", "expected calibration error"):
         assert text in said
 
 
