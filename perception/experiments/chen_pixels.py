@@ -6,7 +6,7 @@ Also rendered and classified poses of motion capture.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -61,44 +61,26 @@ _SPEED, _HEAD = "#666666", "#111111"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """Content of the drawn sheet.
+def shown_rows(person: ObservedPerson, columns: int = 6) -> list[int]:
+    """Return evenly spaced rows of a person's track, without the first."""
+    n = len(person.causal)
+    first = min(3, n - 1)
+    return np.linspace(first, n - 1, min(columns, n - first)).round().astype(int).tolist()
 
-    Attributes
-    ----------
-    clip : frames
-    people : evaluated people
-    columns : shown frames
+
+def draw_sheet(figure: SubFigure, clip: Clip, people: Sequence[ObservedPerson]) -> None:
+    """Draw a row of frames for each of `ROWS`, and a view from above of the joint filter's estimates.
+
+    The frames show the first person with the longest track.
     """
-
-    clip: Clip
-    people: list[ObservedPerson]
-    columns: int = 6
-
-    @property
-    def shown(self) -> ObservedPerson:
-        """Person drawn on the frames: the first with the longest track."""
-        return max(self.people, key=lambda person: len(person.causal))
-
-    @property
-    def rows(self) -> list[int]:
-        """Evenly spaced rows of the shown person's track, without the first."""
-        n = len(self.shown.causal)
-        first = min(3, n - 1)
-        count = min(self.columns, n - first)
-        return np.linspace(first, n - 1, count).round().astype(int).tolist()
-
-
-def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
-    """Draw a row of frames for each of `ROWS`, and a view from above of the joint filter's estimates."""
-    person, rows = sheet.shown, sheet.rows
+    person = max(people, key=lambda one: len(one.causal))
+    rows = shown_rows(person)
     grid = figure.subplots(len(ROWS) + 1, len(rows), squeeze=False)
     for line, (method, preset) in enumerate(ROWS):
         estimate = METHODS[method].estimate(person, Model(preset), 0)
         for column, row in enumerate(rows):
             axes = grid[line, column]
-            picture, caption = cell(sheet, person, estimate, row)
+            picture, caption = cell(clip, person, estimate, row)
             axes.imshow(picture[:, :, ::-1])
             axes.set_xticks([])
             axes.set_yticks([])
@@ -106,7 +88,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
             if line == 0:
                 axes.set_title(f"t = {person.causal.t[row]:.1f} s", fontsize=9)
         grid[line, 0].set_ylabel(f"{method}, {preset}", fontsize=9)
-    found = [METHODS["particle"].estimate(one, Model("joint"), 0) for one in sheet.people]
+    found = [METHODS["particle"].estimate(one, Model("joint"), 0) for one in people]
     for column, row in enumerate(rows):
         _from_above(grid[-1, column], found, float(person.causal.t[row]))
         grid[-1, column].set_xlabel("x (m)", fontsize=8)
@@ -127,7 +109,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
     )
 
 
-def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
+def cell(clip: Clip, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
     """Return the image of a frame, and a text with the errors of body and head."""
     observed, truth = person.causal, person.truth
     assert observed.body_likelihood is not None and observed.head_likelihood is not None
@@ -148,7 +130,7 @@ def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tup
     )
     assert cues.true is not None
     body, head = np.degrees(np.abs(difference(cues.estimated, cues.true)))
-    picture = draw_cues(sheet.clip.images[frame], cues, person.camera)
+    picture = draw_cues(clip.images[frame], cues, person.camera)
     return picture, f"off by {body:.0f}° body, {head:.0f}° head"
 
 
@@ -330,7 +312,7 @@ def _parts(settings: Settings) -> Parts:
         for clip in clips:
             people += people_of(clip, models)
             if first is None and people:
-                first = Sheet(clip, list(people))
+                first = clip, list(people)
             settings.progress(1)
         found.append(joint_scores(name, people))
         settings.progress(1)
@@ -350,7 +332,7 @@ def _parts(settings: Settings) -> Parts:
     )
     yield from confusions(answers, head.classes)
     yield published_table(found, GROUPS, PUBLISHED_TITLE)
-    yield _figure(found, first, rng)
+    yield _figure(found, *first, rng)
     yield (
         "Rendered people who walk as the model joint has it, three a clip, boxes off as a detector's are, "
         "heads by the localiser; each column has another classifier of heads, the bodies are the same."
@@ -403,7 +385,9 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
             yield row
 
 
-def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> Figure:
+def _figure(
+    found: Sequence[Scores], clip: Clip, people: Sequence[ObservedPerson], rng: np.random.Generator
+) -> Figure:
     from graphtrack.report.style import new_figure
 
     figure = new_figure(13.0, 18.1)
@@ -418,7 +402,7 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
         frameon=False,
         fontsize=8,
     )
-    draw_sheet(bottom, sheet)
+    draw_sheet(bottom, clip, people)
     return figure
 
 
