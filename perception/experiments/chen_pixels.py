@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
 from graphtrack.evaluation.metrics import bootstrap, mean_difference
@@ -353,14 +352,6 @@ def _arrow(axes: Axes, start: FloatArray, along: FloatArray, colour: str, width:
     )
 
 
-LEVELS = ("down", "level", "up")
-"""Tilt classes, in the order of `PoseClasses`."""
-
-
-Answers = Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
-"""Classes (n,) of images of known poses, in the image frame, true and likeliest: of body, pan and tilt."""
-
-
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
     """Return people by source, with noisy positions, at ten frames a second."""
     count, clips = settings.few(12, 2), settings.tracks(*MOCAP)
@@ -377,7 +368,7 @@ def captured_people(settings: Settings) -> dict[str, TrackSet]:
 
 def classified(
     track: Track, body: FeatureClassifier, head: FeatureClassifier, rng: np.random.Generator
-) -> tuple[Track, Answers]:
+) -> Track:
     """Return a person in front of a distant camera, with class likelihoods converted to the world.
 
     Each frame shows another rendered person in the same pose, so that errors are independent; boxes of heads
@@ -390,7 +381,7 @@ def classified(
     heads = make_heads(len(track), rng, FOUND_AS_WALKING, pan=at_head)
     of_body, of_head = body.log_likelihoods(crops), head.log_likelihoods(heads.images)
     pans = head.classes.pan_log_likelihood(of_head)
-    observed = replace(
+    return replace(
         track,
         body=None,
         body_kappa=None,
@@ -399,14 +390,6 @@ def classified(
         body_likelihood=_turned(body.classes.pan_log_likelihood(of_body), body.classes, BODY_CLASSES, ray),
         head_likelihood=_turned(pans, head.classes, HEAD_CLASSES, ray),
     )
-    n_pan, bodies = head.classes.n_pan, body.classes
-    true = head.classes.index(at_head, heads.tilt)
-    levels = of_head.reshape(len(track), -1, n_pan)
-    return observed, {
-        "body": (bodies.index(at_body), of_body.argmax(axis=1)),
-        "pan": (true % n_pan, pans.argmax(axis=1)),
-        "tilt": (true // n_pan, np.logaddexp.reduce(levels, axis=2).argmax(axis=1)),
-    }
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
@@ -420,41 +403,14 @@ def known_poses(
     head: FeatureClassifier,
     rng: np.random.Generator,
     progress: Callable[[int], object],
-) -> tuple[list[Scores], list[Answers]]:
-    """Compute errors of every method of `chen-classes`, by source, and return the classifiers' outputs."""
-    found, answers = [], []
+) -> list[Scores]:
+    """Compute errors of every method of `chen-classes`, by source."""
+    found = []
     for name, tracks in everyone.items():
-        observed = []
-        for track in tracks:
-            one, of_one = classified(track, body, head, rng)
-            observed.append(one)
-            answers.append(of_one)
-        found.append(scores(name, tracks.with_tracks(observed), lambda count: None))
+        observed = tracks.map(lambda track: classified(track, body, head, rng))
+        found.append(scores(name, observed, lambda count: None))
         progress(1)
-    return found, answers
-
-
-def confusions(answers: list[Answers], head: PoseClasses) -> Iterator[Table]:
-    """Yield confusions of body, pan and tilt, in per cent of the true class."""
-
-    def degrees(count: int) -> list[str]:
-        return [f"{360 * k // count}°" for k in range(count)]
-
-    for angle, title, names in (
-        ("body", "body, by `body_pose`", degrees(BODY_CLASSES)),
-        ("pan", "the head's pan", degrees(head.n_pan)),
-        ("tilt", "the head's tilt", list(LEVELS)),
-    ):
-        true, predicted = (
-            np.concatenate(each) for each in zip(*(one[angle] for one in answers), strict=True)
-        )
-        records: list[dict[str, Cell]] = []
-        for k, name in enumerate(names):
-            answered = np.bincount(predicted[true == k], minlength=len(names))
-            pictures = int(answered.sum())
-            shares = [100.0 * count / pictures if pictures else None for count in answered.tolist()]
-            records.append({"true": name, "pictures": pictures, **dict(zip(names, shares, strict=True))})
-        yield Table.of(f"Confusion in per cent of the true class: {title}", records)
+    return found
 
 
 HEADS = ("deep_belief", "templates")
@@ -492,7 +448,7 @@ def _parts(settings: Settings) -> Parts:
         settings.progress(1)
     assert first is not None
     body, head = load_classifier("body_pose"), load_classifier("templates")
-    posed, answers = known_poses(everyone, body, head, settings.rng(22), settings.progress)
+    posed = known_poses(everyone, body, head, settings.rng(22), settings.progress)
     rng = settings.rng(99)
     yield detail("Body and head from class likelihoods", found, GROUPS, rng)
     yield Table.of(
@@ -504,7 +460,6 @@ def _parts(settings: Settings) -> Parts:
         chen_classes.GROUPS,
         settings.rng(98),
     )
-    yield from confusions(answers, head.classes)
     yield published_table(found, GROUPS, PUBLISHED_TITLE)
     yield _figure(found, *first, rng)
     yield (
