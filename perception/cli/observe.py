@@ -43,7 +43,8 @@ from perception.cli.searching import (
 from perception.storage import key_of
 
 if TYPE_CHECKING:
-    from perception.detection.boxes import Detector, PersonBox
+    from perception.detection.boxes import Detections, PersonBox
+    from perception.detection.ground_search import GroundSearch
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observe.live import LiveObserver
@@ -293,25 +294,25 @@ def _stream(
     from graphtrack.streaming.session import give
     from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
     from perception.detection.hog import PeopleDetector
-    from perception.detection.rescoring import GroundDetector, PersonProbability
+    from perception.detection.rescoring import PersonProbability
 
     given, camera = boxes_by_frame(boxes or ()), observer.camera
-    detector: Detector | None = networks.detector
-    if detector is None and camera is None:
-        detector = PeopleDetector()
+    search: GroundSearch | None = None
+
+    def detected(image: Image) -> Detections:
+        nonlocal search
+        if networks.detector is not None or camera is None:
+            return (networks.detector or PeopleDetector()).detect(image)
+        search = search or ground_search(camera, image)
+        return PersonProbability.of_package(foreground=False).detections(search.candidates(image, None))
 
     def people_in(number: int, image: Image) -> list[PersonBox]:
-        nonlocal detector
         looked = {number: networks.look(number, image)} if networks.has_keypoints else None
         if boxes is None and looked is not None and networks.makes_boxes:
             return boxes_of(looked)
         people = given.get(number, [])
         if boxes is None:
-            if detector is None and camera is not None:
-                probability = PersonProbability.of_package(foreground=False)
-                detector = GroundDetector(ground_search(camera, image), probability)
-            assert detector is not None
-            people = boxes_of({number: detector.detect(image)})
+            people = boxes_of({number: detected(image)})
         return people if looked is None else with_keypoints(people, looked)
 
     for frame in frames:

@@ -22,7 +22,7 @@ from perception.storage import key_of
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.detection.boxes import Detections, Detector, PersonBox
+    from perception.detection.boxes import Detections, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
     from perception.detection.yolo import YoloNetwork
@@ -261,7 +261,7 @@ class PeopleSearch:
     asked: tuple[object, ...] = ()
     causal: bool = False
     one_size: bool = True
-    detector: Detector | None = None
+    detector: YoloNetwork | None = None
 
     @contextmanager
     def people(self, refuse: Refuse) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
@@ -299,7 +299,7 @@ class PeopleSearch:
 
     def _on_ground(self, camera: GroundCamera, journal: FrameJournal[Detections], refuse: Refuse) -> None:
         from perception.detection.background import Backgrounds, background_samples
-        from perception.detection.rescoring import GroundDetector, PersonProbability, learning_frames
+        from perception.detection.rescoring import PersonProbability, learning_frames
 
         numbers, rate = self.frames.numbers(), self.clock.rate
         rest = set(numbers) - set(journal)
@@ -326,14 +326,12 @@ class PeopleSearch:
                         candidates[frame.number] = searching(frame.image).candidates(frame.image, background)
             probability = self._adapted(camera, candidates)
         probability = probability or PersonProbability.of_package(foreground=bool(backgrounds.parts))
-        if search is not None:
-            detector = GroundDetector(search, probability)
-            for number, of_frame in candidates.items():
-                if number not in journal:
-                    journal.add(number, detector.chosen(of_frame))
+        for number, of_frame in candidates.items():
+            if number not in journal:
+                journal.add(number, probability.detections(of_frame))
 
         def detect(number: int, image: Image) -> Detections:
-            return GroundDetector(searching(image), probability, backgrounds.at(number)).detect(image)
+            return probability.detections(searching(image).candidates(image, backgrounds.at(number)))
 
         searched(self.frames, journal, detect, refuse, one_size=True)
 

@@ -33,7 +33,6 @@ from perception.detection.ground_search import (
 from perception.detection.hog import TALL
 from perception.detection.rescoring import (
     Certainty,
-    GroundDetector,
     PersonProbability,
     adapt_to_recording,
     judged_by_other_frames,
@@ -191,10 +190,9 @@ def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
 def precision_and_recall(
     street: PastedStreet, candidates: dict[int, Candidates], probability: PersonProbability
 ) -> tuple[float, float]:
-    detector = GroundDetector(GroundSearch(street.camera, SIZE), probability)
     right = found = 0
     for item in street.boxes:
-        boxes = detector.chosen(candidates[item.frame]).boxes
+        boxes = probability.detections(candidates[item.frame]).boxes
         place = street.camera.image_to_ground(
             np.array([foot_point(tuple(box)) for box in boxes]).reshape(-1, 2)
         )
