@@ -233,10 +233,6 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.score)
 
-    def taken(self, rows: NDArray[np.int64]) -> Candidates:
-        """Return a subset of the candidates."""
-        return Candidates(self.foot[rows], self.height[rows], self.score[rows], self.features[rows])
-
     def scored(self, score: FloatArray) -> Candidates:
         """Return the candidates with other scores (n,)."""
         return replace(self, score=score)

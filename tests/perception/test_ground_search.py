@@ -238,7 +238,8 @@ def test_nothing_is_taught_where_nobody_walks(
     still = dict.fromkeys(range(20), candidates[3])
     assert adapt_to_recording(still, street.camera, FPS, np.random.default_rng(0)) is None
     assert adapt_to_recording({}, street.camera, FPS, np.random.default_rng(0)) is None
-    none = candidates[3].taken(np.zeros(0, np.int64))
+    one = candidates[3]
+    none = Candidates(one.foot[:0], one.height[:0], one.score[:0], one.features[:0])
     assert adapt_to_recording({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
 
 
