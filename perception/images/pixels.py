@@ -138,7 +138,8 @@ def suppressed(
     near : returns a mask of the candidates, given by indices (m,), that are near one of them
     most : largest number of results; None: all
     """
-    left, kept = np.argsort(-scores, kind="stable"), []
+    left = np.argsort(-scores, kind="stable")
+    kept: list[int] = []
     while len(left) and len(kept) != most:
         best = int(left[0])
         kept.append(best)
