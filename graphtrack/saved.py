@@ -1,12 +1,14 @@
-"""Serialisation of states: arrays and records as JSON-able data, restored to the last bit."""
+"""Serialisation of states: objects, arrays and records as JSON-able data, restored to the last bit."""
 
 from __future__ import annotations
 
 import base64
 import math
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, ClassVar, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,3 +118,115 @@ def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> N
     for name, values in fields.items():
         records[name] = values
     return records
+
+
+def pack(value: Any) -> Any:
+    """Return a value as JSON-able data for `unpack`; mappings as pairs, infinities and NaN as text."""
+    if isinstance(value, Saved):
+        return value.state()
+    if isinstance(value, np.ndarray):
+        return pack_records(value) if value.dtype.names else packed(value)
+    if is_dataclass(value) or hasattr(value, "_asdict"):
+        names = [one.name for one in fields(value)] if is_dataclass(value) else value._fields
+        return {name: pack(getattr(value, name)) for name in names}
+    if isinstance(value, Mapping):
+        return [[pack(key), pack(one)] for key, one in value.items()]
+    if isinstance(value, list | tuple | frozenset):
+        return [pack(one) for one in (sorted(value) if isinstance(value, frozenset) else value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(float(value))
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def unpack(saved: Any, kind: Any, like: Any = None) -> Any:
+    """Invert `pack` for a value of a type; an error of `DAMAGES` if it has another one.
+
+    Parameters
+    ----------
+    kind : float, int, bool, an array, Any, a tuple, list, dict or frozenset of these, a dataclass or a named
+        tuple with annotated fields, or one of them or None
+    like : a value of the same type, whose arrays have the same kind and, except for 0, the same further sizes
+    """
+    origin, inner = get_origin(kind) or kind, get_args(kind)
+    if origin in (Union, UnionType):
+        return (
+            None if saved is None else unpack(saved, next(one for one in inner if one is not NoneType), like)
+        )
+    if kind is Any:
+        return saved
+    if kind is float:
+        return float(saved) if saved in ("nan", "inf", "-inf") else real(saved)
+    if kind is int:
+        return integer(saved)
+    if kind is bool:
+        if type(saved) is not bool:
+            raise TypeError(f"{str(saved)[:40]!r} in place of true or false")
+        return saved
+    if origin is np.ndarray:
+        return _array(saved, like)
+    if origin is dict:
+        return {unpack(key, inner[0]): unpack(one, inner[1]) for key, one in saved}
+    if origin is tuple and inner[-1] is not ...:
+        return tuple(unpack(one, of) for one, of in zip(saved, inner, strict=True))
+    if origin in (tuple, list, frozenset):
+        return origin(unpack(one, inner[0]) for one in saved)
+    hints = get_type_hints(kind)
+    return kind(**{name: unpack(saved[name], of, getattr(like, name, None)) for name, of in hints.items()})
+
+
+def _array(saved: Any, like: Any) -> NDArray[Any]:
+    if isinstance(saved, dict):
+        return unpack_records(saved, like.dtype)
+    found = unpacked(saved)
+    if like is not None:
+        sizes = zip(found.shape[1:], like.shape[1:], strict=True)
+        if found.dtype.kind != like.dtype.kind or any(size not in (one, 0) for one, size in sizes):
+            raise ValueError(f"an array of {found.dtype} {found.shape}")
+    return found
+
+
+class Saved:
+    """Object whose state can be saved, and restored in another one made with the same arguments.
+
+    Attributes
+    ----------
+    _saved : name of each attribute of the state → its type as `unpack` takes it; `Saved` for one of these,
+        or None
+    """
+
+    _saved: ClassVar[Mapping[str, Any]] = {}
+
+    def state(self) -> dict[str, Any]:
+        """Return the state to continue from, as JSON-able data; see `from_state`."""
+        return {name: pack(getattr(self, name)) for name in self._saved}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`; an error of `DAMAGES` if it is damaged."""
+        for name, kind in self._saved.items():
+            own, saved = getattr(self, name), state[name]
+            if kind is not Saved:
+                setattr(self, name, unpack(saved, kind, own))
+            elif own is not None and saved is not None:
+                own.restore(saved)
+            elif own is not saved:
+                raise TypeError(f"{name} of other settings")
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], *arguments: Any, **options: Any) -> Self:
+        """Return an object that continues from a `state`, bit for bit.
+
+        Parameters
+        ----------
+        *arguments, **options : as those of the object whose state it is
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, or of other arguments.
+        """
+        found = cls(*arguments, **options)
+        try:
+            found.restore(state)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return found

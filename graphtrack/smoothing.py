@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
-from graphtrack.saved import DAMAGES, damaged, integer, pack_tree, unpack_tree
+from graphtrack.saved import integer
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
 from graphtrack.tracks.scene import GivenScene
 from graphtrack.tracks.track import Track, TrackSet
@@ -460,23 +460,14 @@ class OnlineTracker(DetectionTracker):
         if self._conversations is not None:
             found[CONVERSATIONS] = self._conversations.state()
         if self._forecaster is not None:
-            found |= {"forecaster": pack_tree(self._forecaster.state()), "present": self._present}
+            found |= {"forecaster": self._forecaster.state(), "present": self._present}
         return found
 
-    @classmethod
-    def from_state(
-        cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
-    ) -> Self:
-        """Restore a tracker from `state`; as `DetectionTracker.from_state`."""
-        tracker = super().from_state(state, model, **options)
-        try:
-            if tracker._conversations is not None:
-                found = Conversations.from_state(state[CONVERSATIONS], tracker.model)
-                tracker._conversations = tracker._groups = found
-            if "forecaster" in state:
-                saved = unpack_tree(state["forecaster"])
-                tracker._forecaster = Forecaster.from_state(saved, walkable=tracker._walkable)
-                tracker._present = list(map(integer, state["present"]))
-        except DAMAGES as error:
-            raise damaged(error) from error
-        return tracker
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`."""
+        super().restore(state)
+        if self._conversations is not None:
+            self._conversations.restore(state[CONVERSATIONS])
+        if "forecaster" in state:
+            self._forecaster = Forecaster.from_state(state["forecaster"], walkable=self._walkable)
+            self._present = list(map(integer, state["present"]))

@@ -14,9 +14,12 @@ HEAVY = ("gtsam", "matplotlib", "pandas", "scipy", "scipy.special")
 
 
 def modules_after(code, *arguments):
-    """The heavy modules that are loaded when a program ends."""
-    tell = f"print('LOADED', *(m for m in {HEAVY!r} if m in sys.modules), file=sys.stderr)"
-    program = f"import atexit, sys\natexit.register(lambda: {tell})\n{code}"
+    """The heavy modules that are loaded when a program ends; ``LOADED()`` within it are those by then."""
+    program = f"""
+import atexit, sys
+LOADED = lambda: [name for name in {HEAVY!r} if name in sys.modules]
+atexit.register(lambda: print("LOADED", *LOADED(), file=sys.stderr))
+{code}"""
     done = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True, timeout=120
     )
@@ -45,19 +48,22 @@ def test_the_package_itself_and_commands_that_need_no_solver_load_none(tmp_path)
 
 
 def test_gtsam_is_loaded_where_a_graph_is_built_alone():
-    code = "import graphtrack as gt, numpy as np\n"
-    code += "track = gt.Track(0, np.arange(4), np.arange(4) * 0.1, np.zeros((4, 2)))\n"
-    code += "gt.solve(track, 'position', engine={!r})"
-    # SciPy itself comes with numba, but its slow modules do not.
-    assert modules_after(code.format("chain")) == ["scipy"]
-    assert "gtsam" in modules_after(code.format("gtsam"))
-    code = "from graphtrack import inference, simulation, diagnostics; import graphtrack.cli.commands"
-    assert modules_after(code) == ["scipy"]
-    code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
-    modules_after(
-        code
-        + "assert all(map(callable, (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read_identified)))"
-    )
+    code = """
+import numpy as np
+import graphtrack as gt
+from graphtrack import diagnostics, inference, simulation
+import graphtrack.cli.commands
+
+track = gt.Track(0, np.arange(4), np.arange(4) * 0.1, np.zeros((4, 2)))
+gt.solve(track, "position", engine="chain")
+# SciPy itself comes with numba, but its slow modules do not.
+assert LOADED() == ["scipy"], LOADED()
+import graphtrack.evaluation.compare, graphtrack.simulation.sampling
+assert all(map(callable, (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read_identified)))
+assert "gtsam" not in LOADED()
+gt.solve(track, "position", engine="gtsam")
+"""
+    assert "gtsam" in modules_after(code)
 
 
 def test_reading_smoothing_tracking_and_scoring_need_no_package_for_pictures_or_learning(tmp_path):

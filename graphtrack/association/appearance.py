@@ -7,9 +7,7 @@ held out from the whitening; a ratio of two Gaussians would be overconfident, as
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +16,6 @@ from graphtrack.association.likelihood import Chains, IntArray, Scene
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import csgraph, optimize, sparse, spatial
-from graphtrack.saved import packed, unpacked
 
 _LEAST = 1e-12  # least squared distance; smaller values are clipped
 _STEEPEST = 5.0  # 1-σ of the prior of the slope; learned slopes are near 4
@@ -310,26 +307,6 @@ class AppearanceEvidence:
         """(n,) log gain of detections as a person's by descriptors (n, d) and scores (n,); NaN: missing."""
         less = 0.0 if self.model is None else self.constancy
         return self.scores.of(score) - less * has_descriptor(descriptors)
-
-    def state(self) -> dict[str, Any]:
-        """The evidence as JSON-able data."""
-        model = self.model
-        return {
-            "model": None
-            if model is None
-            else [packed(model.whitening), model.offset, model.slope, model.outlier],
-            "constancy": self.constancy,
-            "scores": [packed(self.scores.edges), packed(self.scores.ratio)],
-        }
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> AppearanceEvidence:
-        """The inverse of `state`."""
-        model = None
-        if state["model"] is not None:
-            whitening, *numbers = state["model"]
-            model = AppearanceModel(unpacked(whitening), *numbers)
-        return cls(model, state["constancy"], ScoreRatio(*map(unpacked, state["scores"])))
 
 
 def evidence_of_tracks(

@@ -8,16 +8,15 @@ are learned.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from graphtrack.association.appearance import AppearanceEvidence, evidence_of_tracks, widened
 from graphtrack.association.likelihood import (
-    DETECTION,
     Chains,
     IntArray,
     Scene,
@@ -42,16 +41,7 @@ from graphtrack.association.scene import (
 )
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.saved import (
-    integer,
-    pack_records,
-    pack_tree,
-    packed,
-    real,
-    unpack_records,
-    unpack_tree,
-    unpacked,
-)
+from graphtrack.saved import Saved
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 
@@ -100,8 +90,13 @@ _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
 """Parameters of turning, and the exponent that makes a variance of each."""
 
 
-class History:
+class History(Saved):
     """The newest final detections, from which parameters are learned."""
+
+    _saved: ClassVar = {
+        **dict.fromkeys(("t", "std", "score", "position", "facing", "descriptor"), np.ndarray),
+        **{"frame": np.ndarray, "owner": np.ndarray, "count": int, "times": int, "since": float | None},
+    }
 
     def __init__(self) -> None:
         self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
@@ -119,17 +114,6 @@ class History:
             setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
         self.count += end - first
         self.since = float(chains.t[first]) if self.since is None else self.since
-
-    def state(self) -> dict[str, Any]:
-        """The detections as JSON-able data."""
-        return pack_tree(vars(self))
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> History:
-        """The inverse of `state`."""
-        found = cls()
-        vars(found).update(unpack_tree(state))
-        return found
 
     def is_due(self) -> bool:
         """Return True if parameters are to be learned."""
@@ -201,7 +185,7 @@ class Decision:
     revised: tuple[Revision, ...]  # changes of earlier assignments
 
 
-class OnlineAssociation(Moves):
+class OnlineAssociation(Moves, Saved):
     """Online data association, frame by frame.
 
     Parameters
@@ -209,6 +193,13 @@ class OnlineAssociation(Moves):
     scene : known parameters of birth, death and detection; the others are learned online
     lag : seconds within which decisions may be revised
     """
+
+    _saved: ClassVar = {
+        **{"known": dict[str, Any], "lag": float, "scene": SceneParameters, "chains": Chains},
+        **{"link_p": np.ndarray, "_notes": Notes, "_first": list[int], "_history": Saved},
+        **{"_ground_rates": GroundRates | None, "_appearance": AppearanceEvidence, "_next": int},
+        **{"updates": int, "_last": float, "_intervals": list[float]},
+    }
 
     def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
         if not lag > 0.0:
@@ -240,52 +231,10 @@ class OnlineAssociation(Moves):
         """Median seconds between recent frames."""
         return median(self._intervals) if self._intervals else 1.0
 
-    def state(self) -> dict[str, Any]:
-        """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
-        return {
-            "known": dict(self.known),
-            "scene": asdict(self.scene),
-            "lag": self.lag if np.isfinite(self.lag) else None,
-            "chains": [
-                pack_records(self.chains.rows),
-                packed(self.chains.state),
-                packed(self.chains.appearance),
-            ],
-            "link_p": packed(self.link_p),
-            "notes": pack_tree(vars(self._notes)),
-            "first": self._first,
-            "history": self._history.state(),
-            "places": None
-            if self._ground_rates is None
-            else [packed(grid) for grid in vars(self._ground_rates).values()],
-            "looks": self._appearance.state(),
-            "counts": [self._next, self.updates],
-            "last": self._last if self.updates else None,
-            "intervals": self._intervals,
-        }
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
-        """Restore an association from `state`, bit for bit.
-
-        Raise KeyError, TypeError, ValueError or InputError if the state is damaged.
-        """
-        found = cls(state["known"], np.inf if state["lag"] is None else state["lag"])
-        found.scene = SceneParameters(**state["scene"])
-        rows, *remaining = state["chains"]
-        found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in remaining))
-        found.link_p = unpacked(state["link_p"])
-        found._notes = Notes(**unpack_tree(state["notes"]))
-        found._first = list(map(integer, state["first"]))
-        found._intervals = list(map(real, state["intervals"]))
-        found._history = History.from_state(state["history"])
-        if state["places"] is not None:
-            found._ground_rates = GroundRates(*(unpacked(grid) for grid in state["places"]))
-        found._appearance = AppearanceEvidence.from_state(state["looks"])
-        found._next, found.updates = map(integer, state["counts"])
-        found._last = -np.inf if state["last"] is None else real(state["last"])
-        found._pack()
-        return found
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`."""
+        super().restore(state)
+        self._pack()
 
     @property
     def first_open(self) -> int:

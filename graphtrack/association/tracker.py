@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.model.terms.conversation import Group, with_group_at
-from graphtrack.saved import DAMAGES, damaged, integer
+from graphtrack.saved import Saved, integer
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows
@@ -128,7 +128,7 @@ class PersonEstimate(Estimate):
         return self.detection >= 0
 
 
-class DetectionTracker:
+class DetectionTracker(Saved):
     """Track all people in a scene online from detections without identities; see `OnlineTracker`.
 
     ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
@@ -224,30 +224,18 @@ class DetectionTracker:
         observations = [[*key, pack_observation(one)] for key, one in self._observations.items()]
         return {"association": self._association.state(), "people": people, "seen": observations}
 
-    @classmethod
-    def from_state(
-        cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
-    ) -> Self:
-        """Restore a tracker from `state`, given the same model and options.
-
-        Raise InputError if the state is damaged, or of a model with other terms.
-        """
-        tracker = cls(model, **options)
-        try:
-            tracker._association = OnlineAssociation.from_state(state["association"])
-            tracker._observations = {
-                (integer(k), integer(place)): unpack_observation(one) for k, place, one in state["seen"]
-            }
-            for saved in state["people"]:
-                smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
-                keys = [(integer(k), integer(place)) for k, place in saved["keys"]]
-                groups_by_update = {integer(update): tuple(group) for update, group in saved.get("told", ())}
-                tracker._people[integer(saved["track_id"])] = _Person(
-                    smoother, smoother.last, keys, groups_by_update
-                )
-        except DAMAGES as error:
-            raise damaged(error) from error
-        return tracker
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`."""
+        self._association.restore(state["association"])
+        self._observations = {
+            (integer(k), integer(place)): unpack_observation(one) for k, place, one in state["seen"]
+        }
+        for saved in state["people"]:
+            smoother = OnlineSmoother.from_state(saved["smoother"], self.model, **self._options)
+            keys = [(integer(k), integer(place)) for k, place in saved["keys"]]
+            groups_by_update = {integer(update): tuple(group) for update, group in saved.get("told", ())}
+            person = _Person(smoother, smoother.last, keys, groups_by_update)
+            self._people[integer(saved["track_id"])] = person
 
     @property
     def updates(self) -> int:

@@ -382,7 +382,7 @@ def run(
     log_weights : (n,) normalised; written
     resample_below : share of n below which the effective sample size calls for resampling
     mean, covariance, log_evidence, sample_size : (frames, …), written
-    mode_means : (frames, 2) probability of an aligned body and its offset in radians, written
+    mode_means : (frames, 2) probability of an aligned body and its offset in radians, written if it has modes
     history, history_log_weights : (frames, n, 6) and (frames, n) to keep the particles, or of length 0
 
     Returns
@@ -394,6 +394,8 @@ def run(
     weights, log_likelihood, ancestors = np.empty(n), np.empty(n), np.arange(n)
     of_head, shares, finest = np.empty(n), np.zeros(n, np.int64), motion.keep.shape[1] - 1
     normalise(log_weights, weights)
+    has_modes = modes.initial.shape[1] > 1
+    has_angles = motion.has_body or motion.has_head
     half = 0
     for k in range(start, frames):
         fresh, done = (mode, used) if k == start else (PROPAGATE, 0)
@@ -412,9 +414,10 @@ def run(
                     share = steering_share(modes_before[ancestors[i]], position.kind[k] > 0, modes)
                     shares[i] = round(share * finest)
             draw_motion(rng, k, motion, before, ancestors, shares, after)
-            for i in range(n):
-                draw_modes(rng, k, False, modes_before[ancestors[i]], modes, modes_after[i])
-                draw_angles(rng, k, False, before[ancestors[i]], after[i], motion, modes_after[i], modes)
+            if has_angles:
+                for i in range(n):
+                    draw_modes(rng, k, False, modes_before[ancestors[i]], modes, modes_after[i])
+                    draw_angles(rng, k, False, before[ancestors[i]], after[i], motion, modes_after[i], modes)
         elif fresh == FIRST:
             for i in range(n):
                 draw_modes(rng, k, True, held[half, i], modes, held[half, i])
@@ -446,7 +449,8 @@ def run(
             return k, half
         summarise(now, weights, motion, mean[k], covariance[k])
         sample_size[k] = effective_sample_size(weights)
-        summarise_modes(modes_now, weights, modes, mode_means[k])
+        if has_modes:
+            summarise_modes(modes_now, weights, modes, mode_means[k])
         if len(history):
             history[k] = now
             history_log_weights[k] = log_weights

@@ -50,8 +50,8 @@ def groups(
     """
     from graphtrack.interaction.attention import make_behaviour_ready
     from graphtrack.interaction.groups import groups as find
+    from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.interaction.scores import score_groups
-    from graphtrack.interaction.tables import load_parameters
     from graphtrack.io.read_write import write_table
     from graphtrack.tracks.table import with_names
 
@@ -60,7 +60,7 @@ def groups(
         {**reading.inputs(inputs, model), "--truth": truth, "--parameters": parameters},
     )
     check_csv(output)
-    chosen = None if parameters is None else load_parameters(parameters)
+    chosen = None if parameters is None else GroupParameters.load(parameters)
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
     make_behaviour_ready()
@@ -123,9 +123,6 @@ def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) 
     show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
 
-PICTURES = ("looks.png", "timeline.png", "matrix.png")
-
-
 def attention(
     inputs: options.Inputs,
     output: Table,
@@ -134,7 +131,6 @@ def attention(
     model: Smoothing = None,
     online: bool = False,
     json_path: Annotated[Path | None, typer.Option("--json")] = None,
-    pictures: Path | None = None,
     parameters: Path | None = None,
     truth: Path | None = None,
 ) -> None:
@@ -144,35 +140,34 @@ def attention(
     ----------
     online : Use only the past of each frame, as in a live scene.
     json_path : Write gaze between people, dwell times on places and mutual gaze, in seconds.
-    pictures : Folder for a heat map of gaze on the ground, a timeline and the gaze matrix.
     parameters : Output of 'graphtrack fit --attention' (.toml).
     truth : Labelled gaze targets to score against (.csv): frame, track_id and target.
     """
+    from graphtrack.interaction.attention import (
+        AttentionParameters,
+        attention_columns,
+        make_behaviour_ready,
+        summary_of,
+    )
     from graphtrack.interaction.attention import attention as find
-    from graphtrack.interaction.attention import attention_columns, make_behaviour_ready, summary_of
     from graphtrack.interaction.people import read_places
     from graphtrack.interaction.scores import score_gaze
-    from graphtrack.interaction.tables import load_attention, read_gaze
+    from graphtrack.interaction.tables import read_gaze
     from graphtrack.io.read_write import write_table
     from graphtrack.tracks.table import with_names
 
     options.check_outputs(
-        {
-            "--output": output,
-            "--json": json_path,
-            "--pictures": [] if pictures is None else [pictures / name for name in PICTURES],
-        },
+        {"--output": output, "--json": json_path},
         {
             **reading.inputs(inputs, model),
             "--places": places,
             "--parameters": parameters,
             "--truth": truth,
         },
-        to_make=[] if pictures is None else [pictures],
     )
     check_csv(output)
     known = [] if places is None else read_places(places)
-    chosen = None if parameters is None else load_attention(parameters)
+    chosen = None if parameters is None else AttentionParameters.load(parameters)
     labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
     make_behaviour_ready()
@@ -186,14 +181,8 @@ def attention(
     )
     if score is not None:
         print_table(f"Gaze against the truth, {counted(score.frames, 'label')}", score.shown())
-    summary = summary_of(found)
-    write_json(json_path, summary.to_dict())
-    if pictures is not None:
-        from graphtrack.report.plots.interaction import draw_gaze
-
-        options.make_folder(pictures)
-        draw_gaze(tracks, known, found, summary, [pictures / name for name in PICTURES])
-        emit(f"wrote {pictures}")
+    if json_path is not None:
+        write_json(json_path, summary_of(found).to_dict())
 
 
 def forecast(

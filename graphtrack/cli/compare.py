@@ -74,13 +74,13 @@ def compare_groups(
     """Read tracks and labelled groups, find groups with each method, and print their scores."""
     from graphtrack.evaluation.groups import compare_groups as compare
     from graphtrack.evaluation.groups import registry
-    from graphtrack.interaction.tables import load_parameters
+    from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.io.groups import read_groups
 
     options.check_outputs(
         {"--json": json_path}, {**reading.inputs(inputs), "--groups": labels, "--parameters": parameters}
     )
-    chosen = None if parameters is None else load_parameters(parameters)
+    chosen = None if parameters is None else GroupParameters.load(parameters)
     with input_warnings_as_notes():
         found = compare(
             reading.tracks(list(inputs)),

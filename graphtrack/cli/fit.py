@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -132,18 +132,16 @@ def _labelled(
     tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
     """Learn from labelled groups or gaze, report the accuracy, and write the parameters."""
-    from graphtrack.interaction.tables import read_gaze, save_parameters
+    from graphtrack.interaction.tables import read_gaze
     from graphtrack.learning.interaction import fit_attention, fit_groups
 
     with console.status("learning"), quiet_input_warnings():
         found: GroupFit | AttentionFit
         if what == "groups":
             found = fit_groups(tracks, read_quietly(truth), hold_out=hold_out)
-            parameters = found.parameters.to_dict()
         else:
             found = fit_attention(tracks, read_gaze(truth), hold_out=hold_out)
-            parameters = asdict(found.parameters)
-    save_parameters(found.parameters, output)
+    found.parameters.save(output)
     title, counted_by = ("Groups", "frame") if what == "groups" else ("Gaze", "label")
     parts = {"training data": found.learned_from, "held-out data": found.held_out}
     scores = {name: score for name, score in parts.items() if score is not None}
@@ -151,7 +149,7 @@ def _labelled(
         print_table(f"{title} in {name}, {counted(score.frames, counted_by)}", score.shown())
     emit(f"wrote {output}")
     learned = {name: score.to_dict() for name, score in scores.items()}
-    write_json(json_path, {"parameters": parameters, **learned})
+    write_json(json_path, {"parameters": asdict(found.parameters), **learned})
 
 
 def _forecasts(inputs: list[Path], reading: options.SceneReading, output: Path) -> Learned:
@@ -218,17 +216,8 @@ def _scene(
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
     """Return parameters before and after, a row each."""
-    return [
-        {
-            "parameter": one.name,
-            "before": one.start,
-            "after": one.value,
-            "95 % from": one.low,
-            "to": one.high,
-            "": one.note,
-        }
-        for one in found.learned
-    ]
+    headings = ("parameter", "before", "after", "95 % from", "to", "")
+    return [dict(zip(headings, astuple(one), strict=True)) for one in found.learned]
 
 
 def score_rows(found: Fit) -> list[dict[str, object]]:
@@ -279,17 +268,7 @@ def scene_rows(found: SceneFit) -> list[dict[str, object]]:
 def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
     """Return log density before and after, a row for each part of the recording."""
     return [
-        {
-            "": name,
-            "seconds": part.seconds,
-            "detections": part.detections,
-            "people": part.people,
-            "false": part.false,
-            "before": part.before,
-            "after": part.after,
-            "gain": part.after - part.before,
-        }
-        for name, part in found.parts.items()
+        {"": name, **asdict(part), "gain": part.after - part.before} for name, part in found.parts.items()
     ]
 
 

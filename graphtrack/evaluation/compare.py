@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from graphtrack.baselines.intentional import OWN_FILTERS, intentional_tracker, s
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
 from graphtrack.errors import InputError
+from graphtrack.evaluation.methods import Method, MethodGroup, compared, made
 from graphtrack.evaluation.metrics import (
     Angle,
     TrackCalibration,
@@ -43,80 +44,6 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
-MethodGroup = Literal["online", "offline"]
-
-
-class Described(Protocol):
-    """A method that can be compared with others of its kind.
-
-    Attributes
-    ----------
-    name : short and unique
-    online : True if each estimate uses only the past; online and offline methods are not compared with each
-        other
-    information : description of the observations used, such as "positions, body, head; past only"
-    """
-
-    @property
-    def name(self) -> str:
-        """Short and unique."""
-
-    @property
-    def online(self) -> bool:
-        """True if each estimate uses only the past."""
-
-    @property
-    def information(self) -> str:
-        """Description of the observations that the method uses."""
-
-
-Kind = TypeVar("Kind", bound=Described)
-
-
-def compared(methods: Sequence[str | Kind], make: Callable[[Any], Kind], known: Iterable[str]) -> list[Kind]:
-    """Return methods of names or of a user, online ones first, since these are compared with each other.
-
-    Raises
-    ------
-    InputError
-        Without methods, or with two of the same name.
-    """
-    made = [make(method) for method in methods]
-    names = [method.name for method in made]
-    if not names:
-        raise InputError("no methods", f"one or more of {', '.join(known)}")
-    if len(set(names)) != len(names):
-        raise InputError(f"methods {', '.join(names)}", "each method once")
-    return sorted(made, key=lambda method: not method.online)
-
-
-def group_of(method: Described) -> MethodGroup:
-    """Return the group within which a method is compared."""
-    return "online" if method.online else "offline"
-
-
-class Method(Described, Protocol):
-    """A method that estimates one track at a time."""
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """Return estimates, one for each frame; None in channels that are not estimated."""
-
-
-@dataclass(frozen=True)
-class FunctionMethod:
-    """Method that wraps a function of a track, a model and a camera."""
-
-    name: str
-    online: bool
-    information: str
-    model: Model | None
-    function: Callable[[Track, Model, GroundCamera | None], Track]
-
-    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
-        """Return the function's estimates."""
-        return self.function(track, self.model, camera)  # type: ignore[arg-type]  # camera may be unused
-
-
 def channels(model: Model) -> str:
     """Describe the observations that a model uses."""
     used = ["positions", *(["body"] if model.has_body else []), *(["head"] if model.has_head else [])]
@@ -126,21 +53,28 @@ def channels(model: Model) -> str:
 def _method(
     name: str, function: Callable[..., Track], uses: str = "", *, online: bool = True
 ) -> Callable[[Model], Method]:
-    """Return a factory of a method that uses some channels, by default those of its model."""
+    """Return a factory of a method: a function of a track, a model and a camera.
+
+    ``uses``: the channels that it uses; by default those of its model
+    """
     when = "past only" if online else "past and future"
-    return lambda model: FunctionMethod(name, online, f"{uses or channels(model)}; {when}", model, function)
+
+    def make(model: Model) -> Method:
+        def run(track: Track, camera: GroundCamera | None) -> Track:
+            return function(track, model, camera)
+
+        return Method(name, online, f"{uses or channels(model)}; {when}", run, model.preset)
+
+    return make
 
 
 def _own(name: str) -> Callable[[Model], Method]:
     """Return a factory of Baxter et al.'s filter (eq. 2–6), which counts time in frames and has no model."""
     information = "positions, head; past only; parameters of its paper, a frame is a step"
-    return lambda model: FunctionMethod(
-        f"intentional-{name}",
-        True,
-        information,
-        None,
-        lambda track, model, camera: step_tracker(track, OWN_FILTERS[name]),
+    method = Method(
+        f"intentional-{name}", True, information, lambda track, camera: step_tracker(track, OWN_FILTERS[name])
     )
+    return lambda model: method
 
 
 def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
@@ -204,9 +138,9 @@ _OWN = {
 }
 
 
-def own_model(name: str) -> Model:
+def own_model(method: str | Method) -> Model:
     """Return the best preset of a method of `registry`; `BEST_PRESET` for the graph's engines."""
-    return Model(_OWN.get(name, BEST_PRESET))
+    return Model(_OWN.get(method if isinstance(method, str) else "", BEST_PRESET))
 
 
 def make_method(method: Method | str, model: Model | str | Path | None = None) -> Method:
@@ -217,11 +151,7 @@ def make_method(method: Method | str, model: Model | str | Path | None = None) -
     InputError
         For an unknown name.
     """
-    if not isinstance(method, str):
-        return method
-    if method not in registry:
-        raise InputError(f"method {method!r}", f"one of {', '.join(registry)}")
-    return registry[method](own_model(method) if model is None else Model.named(model))
+    return made(method, registry, own_model(method) if model is None else Model.named(model), "")
 
 
 METRICS = {
@@ -284,7 +214,7 @@ def score(
     blind = replace(track, true_position=None, true_body=None, true_head=None)
     start = time.perf_counter()
     try:
-        estimate = method.estimate(blind, camera)
+        estimate = method.run(blind, camera)
     except Exception as error:  # a failing method must not stop the comparison
         text = getattr(error, "reason", "") or " ".join(str(error).split())[:200]
         return replace(empty, failure=text or type(error).__name__)
@@ -437,8 +367,8 @@ def compare(
         a method is unknown or named twice.
     """
     model = None if model is None else Model.named(model)
-    listed = [methods] if isinstance(methods, str) else methods  # and not its letters
-    made = compared(listed, lambda method: make_method(method, model), METHODS)
+    chosen = compared(methods, lambda method: make_method(method, model), METHODS)
+    chosen.sort(key=lambda method: not method.online)
     tracks = tracks_of(tracks)
     with_truth = [track for track in tracks if track.has_truth]
     if not with_truth:
@@ -459,22 +389,22 @@ def compare(
         judged, windows = hidden.tracks, dict(hidden.windows)
         left_out |= hidden.left_out
         _require_room(hidden, occlude_seconds)
-    _rehearse(made, judged.tracks[0], tracks.camera)
+    _rehearse(chosen, judged.tracks[0], tracks.camera)
     records: list[TrackScore] = []
     for track in judged:
         window = windows.get(track.track_id)
-        records += [score(method, track, tracks.camera, window) for method in made]
+        records += [score(method, track, tracks.camera, window) for method in chosen]
         if progress is not None:
             progress(len(track))
     pooled = common_tracks(records)
     return Comparison(
-        rows=tuple(_rows(made, pooled)),
-        differences=tuple(_differences(made, pooled)),
-        calibration=tuple(_calibration(made, pooled)),
+        rows=tuple(_rows(chosen, pooled)),
+        differences=tuple(_differences(chosen, pooled)),
+        calibration=tuple(_calibration(chosen, pooled)),
         per_track=tuple(records),
-        information={method.name: method.information for method in made},
-        models={method.name: _preset(method) for method in made},
-        caption=_caption(made, records, pooled, occlude_seconds, left_out),
+        information={method.name: method.information for method in chosen},
+        models={method.name: method.preset for method in chosen},
+        caption=_caption(chosen, records, pooled, occlude_seconds, left_out),
         occlude_seconds=occlude_seconds,
         left_out=left_out,
     )
@@ -511,14 +441,9 @@ def _rehearse(methods: Sequence[Method], track: Track, camera: GroundCamera | No
             score(method, track[begin : begin + 3], camera)
 
 
-def _preset(method: Method) -> str:
-    model = getattr(method, "model", None)
-    return model.preset if isinstance(model, Model) else ""
-
-
 def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        heading = {"method": method.name, "group": group_of(method), "model": _preset(method)}
+        heading = {"method": method.name, "group": method.group, "model": method.preset}
         for metric, unit in METRICS.items():
             own = [record.metrics for record in records if record.method == method.name]
             values = [metrics[metric] for metrics in own if metric in metrics]
@@ -534,7 +459,7 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
     ids = sorted({record.track_id for record in records})
     rng = np.random.default_rng(0)
     for group in ("online", "offline"):
-        names = [m.name for m in methods if group_of(m) == group and any((m.name, i) in values for i in ids)]
+        names = [m.name for m in methods if m.group == group and any((m.name, i) in values for i in ids)]
         for name in names[1:]:
             heading = {"method": name, "group": group, "reference": names[0]}
             for metric, unit in METRICS.items():
@@ -552,7 +477,7 @@ def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> It
 
 def _calibration(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
-        heading = {"method": method.name, "group": group_of(method), "model": _preset(method)}
+        heading = {"method": method.name, "group": method.group, "model": method.preset}
         own = [record.calibration for record in records if record.method == method.name]
         yield from ({**heading, **row} for row in calibration_rows(own))
 
@@ -572,7 +497,7 @@ def _caption(
             "each person's sharpest turn; only these frames are scored."
         )
     used = {
-        group: "; ".join(f"{m.name} ({m.information})" for m in methods if group_of(m) == group)
+        group: "; ".join(f"{m.name} ({m.information})" for m in methods if m.group == group)
         for group in ("online", "offline")
     }
     if used["online"]:
@@ -581,7 +506,7 @@ def _caption(
         parts.append(f"Offline, from the whole track: {used['offline']}.")
     if used["online"] and used["offline"]:
         parts.append("Compare online methods only with online ones, and offline with offline.")
-    if max(sum(group_of(m) == group for m in methods) for group in ("online", "offline")) > 1:
+    if max(sum(m.group == group for m in methods) for group in ("online", "offline")) > 1:
         parts.append(
             "Differences are paired: mean over the tracks of a method's value minus that of the first method "
             "of its group, with a 95 % bootstrap interval over five tracks or more."
@@ -601,7 +526,7 @@ def _caption(
 def _models_in_words(methods: Sequence[Method]) -> list[str]:
     names: dict[str, list[str]] = {}
     for method in methods:
-        names.setdefault(_preset(method), []).append(method.name)
+        names.setdefault(method.preset, []).append(method.name)
     names.pop("", None)
     if len(names) == 1:
         return [f"The model is {next(iter(names))}."]

@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
 from graphtrack.packages import spatial
+from graphtrack.tracks.gaps import positions_at
 from graphtrack.tracks.track import Track, TrackSet
 
 SAMPLES = 20
@@ -27,9 +28,6 @@ COLLISION = 0.2
 
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Nominal probabilities of the circles of the reliability curve."""
-
-_LONGEST_GAP = 1.0
-"""Longest interval in seconds between two true positions that is interpolated."""
 
 
 @dataclass(frozen=True)
@@ -238,13 +236,11 @@ def _references(
             continue
         position = track.true_position if track.has_truth else track.position
         assert position is not None
-        known = np.isfinite(position).all(axis=1)
         has_position = np.isfinite(track.position).all(axis=1)
-        if known.sum() < 2 or has_position.sum() < 2:
+        if has_position.sum() < 2:
             continue
-        at = (made[rows, None] + ahead).ravel()
-        true[rows] = _between(track.t[known], position[known], at).reshape(len(rows), -1, 2)
-        informed[rows] = _straight_on(track.t[known], position[known], made[rows], ahead)
+        true[rows] = positions_at(track.t, position, made[rows, None] + ahead)
+        informed[rows] = _straight_on(track.t, position, made[rows], ahead)
         t, position = track.t[has_position], track.position[has_position]
         straight[rows] = _straight_on(t, position, made[rows], ahead)
         alone = Track(one, np.flatnonzero(has_position), t, position)
@@ -261,17 +257,6 @@ def _references(
 
 def _straight_on(t: FloatArray, position: FloatArray, made: FloatArray, ahead: FloatArray) -> FloatArray:
     """Extrapolate positions (n, A, 2) with the velocity of the last step."""
-    now, before = _between(t, position, made), _between(t, position, made - ahead[0])
+    now, before = positions_at(t, position, made), positions_at(t, position, made - ahead[0])
     velocity = (now - before) / ahead[0]
     return np.asarray(now[:, None] + velocity[:, None] * ahead[:, None])
-
-
-def _between(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:
-    """Interpolate positions (n, 2) at times (n,) within short intervals; NaN elsewhere."""
-    after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
-    before = after - 1
-    share = (at - t[before]) / (t[after] - t[before])
-    found = position[before] + share[:, None] * (position[after] - position[before])
-    inside = (share > -1e-6) & (share < 1.0 + 1e-4)
-    inside &= (t[after] - t[before] <= _LONGEST_GAP) | (np.abs(share - 1.0) < 1e-4) | (np.abs(share) < 1e-4)
-    return np.where(inside[:, None], found, np.nan)

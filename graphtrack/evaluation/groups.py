@@ -6,18 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from graphtrack.association.associate import tracks_of
-from graphtrack.errors import InputError
+from graphtrack.evaluation.methods import Method, compared, made
 from graphtrack.interaction.groups import groups
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, people_of
 from graphtrack.interaction.scores import GroupScore, score_groups
 from graphtrack.io.groups import GroupLabels
-from graphtrack.tracks.track import TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -25,40 +24,6 @@ if TYPE_CHECKING:
 LINKAGE_STRIDE, LINKAGE_CUT = 0.7, 0.9
 """Metres of `average_linkage`: to the o-space ahead (Setti et al. 2015), and the mean distance that separates
 groups."""
-
-
-class GroupMethod(Protocol):
-    """A method that finds groups.
-
-    Attributes
-    ----------
-    name : short and unique
-    information : description of the observations used
-    """
-
-    @property
-    def name(self) -> str:
-        """Short and unique."""
-
-    @property
-    def information(self) -> str:
-        """Description of the observations used."""
-
-    def find(self, tracks: TrackSet) -> IntArray:
-        """Return labels (n,) of the rows of `people_of`; members of a group share one within a frame."""
-
-
-@dataclass(frozen=True)
-class FunctionMethod:
-    """Method that wraps a function of tracks."""
-
-    name: str
-    information: str
-    function: Callable[[TrackSet], IntArray]
-
-    def find(self, tracks: TrackSet) -> IntArray:
-        """Return the function's labels."""
-        return self.function(tracks)
 
 
 def average_linkage(people: People) -> IntArray:
@@ -79,22 +44,20 @@ def average_linkage(people: People) -> IntArray:
     return label
 
 
-def _ours(name: str, when: str, *, online: bool) -> Callable[[GroupParameters], GroupMethod]:
-    def make(parameters: GroupParameters) -> GroupMethod:
-        information = f"positions, bodies, heads; {when}"
-        return FunctionMethod(
-            name, information, lambda tracks: groups(tracks, parameters, online=online).group
-        )
-
-    return make
+def _ours(name: str, when: str, *, online: bool) -> Callable[[GroupParameters], Method]:
+    information = f"positions, bodies, heads; {when}"
+    return lambda parameters: Method(
+        name, online, information, lambda tracks: groups(tracks, parameters, online=online).group
+    )
 
 
-registry: Mapping[str, Callable[[GroupParameters], GroupMethod]] = MappingProxyType(
+registry: Mapping[str, Callable[[GroupParameters], Method]] = MappingProxyType(
     {
         "groups": _ours("groups", "past and future", online=False),
         "online": _ours("online", "past only", online=True),
-        "average-linkage": lambda parameters: FunctionMethod(
+        "average-linkage": lambda parameters: Method(
             "average-linkage",
+            True,
             f"positions, heads or else bodies; each frame separately; o-spaces {LINKAGE_STRIDE:g} m ahead, "
             f"cut at {LINKAGE_CUT:g} m",
             lambda tracks: average_linkage(people_of(tracks)),
@@ -130,7 +93,7 @@ class GroupComparison:
 def compare_groups(
     tracks: Given,
     labels: GroupLabels,
-    methods: Sequence[str | GroupMethod] = tuple(registry),
+    methods: Sequence[str | Method] = tuple(registry),
     *,
     parameters: GroupParameters | None = None,
 ) -> GroupComparison:
@@ -151,17 +114,7 @@ def compare_groups(
     people = people_of(known)
     frame, person = people.frame[people.frame_of], people.ids[people.person]
     true = labels.labels(frame, people.t[people.frame_of], person)
-    made = [_made(one, DEFAULT if parameters is None else parameters) for one in methods]
-    names = [one.name for one in made]
-    if not names or len(set(names)) != len(names):
-        raise InputError(f"methods {', '.join(names) or '(none)'}", "at least one method, each once")
-    scores = {one.name: score_groups(frame, person, one.find(known), true) for one in made}
-    return GroupComparison(scores, {one.name: one.information for one in made})
-
-
-def _made(method: str | GroupMethod, parameters: GroupParameters) -> GroupMethod:
-    if not isinstance(method, str):
-        return method
-    if method not in registry:
-        raise InputError(f"method {method!r}", f"with labelled groups one of {', '.join(registry)}")
-    return registry[method](parameters)
+    settings = DEFAULT if parameters is None else parameters
+    chosen = compared(methods, lambda one: made(one, registry, settings, "with labelled groups "), registry)
+    scores = {one.name: score_groups(frame, person, one.run(known), true) for one in chosen}
+    return GroupComparison(scores, {one.name: one.information for one in chosen})

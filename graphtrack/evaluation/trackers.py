@@ -16,7 +16,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -24,9 +24,9 @@ from graphtrack.association.associate import associated, with_every_frame
 from graphtrack.association.tracker import track_rows
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
-from graphtrack.evaluation.compare import Described, compared, group_of
 from graphtrack.evaluation.identities import SequenceScore, Threshold, judge, threshold_of
 from graphtrack.evaluation.matching import estimated_detections, true_detections
+from graphtrack.evaluation.methods import Method, compared, made
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.engines import Solution
 from graphtrack.io.options import ReadOptions
@@ -293,28 +293,7 @@ TRACKERS = ("associate", "online", "hungarian")
 """Methods that need no other package."""
 
 
-class TrackingMethod(Described, Protocol):
-    """A tracker of many people; an online one assigns a frame's identities at once and never revises them."""
-
-    def track(self, detections: Detections) -> TrackSet:
-        """Return tracks from detections of a recording, which an online method reads frame by frame."""
-
-
-@dataclass(frozen=True)
-class FunctionTracker:
-    """Tracker that wraps a function of detections."""
-
-    name: str
-    online: bool
-    information: str
-    function: Callable[[Detections], TrackSet]
-
-    def track(self, detections: Detections) -> TrackSet:
-        """Return the function's tracks."""
-        return self.function(detections)
-
-
-def _associate(model: Model) -> FunctionTracker:
+def _associate(model: Model) -> Method:
     """Return `associate` followed by the smoother, as in `graphtrack smooth`."""
 
     def track(detections: Detections) -> TrackSet:
@@ -324,10 +303,10 @@ def _associate(model: Model) -> FunctionTracker:
             return TrackSet(())
         return smoothed(found, model)
 
-    return FunctionTracker("associate", False, "past and future; smoothed, gaps filled", track)
+    return Method("associate", False, "past and future; smoothed, gaps filled", track)
 
 
-def _online(model: Model) -> FunctionTracker:
+def _online(model: Model) -> Method:
     """Return `OnlineTracker`, as in `graphtrack track`, with its first answers."""
 
     def track(detections: Detections) -> TrackSet:
@@ -336,24 +315,24 @@ def _online(model: Model) -> FunctionTracker:
         except InputError:  # nobody was reported
             return TrackSet(())
 
-    return FunctionTracker("online", True, "past only; predicted while probably present", track)
+    return Method("online", True, "past only; predicted while probably present", track)
 
 
-def _hungarian(model: Model) -> FunctionTracker:
+def _hungarian(model: Model) -> Method:
     """Return the baseline of a Kalman filter and the Hungarian method."""
     parameters = HungarianParameters()
     information = f"past only; predicted for up to {parameters.coasting:g} s"
     track = partial(track_detections, parameters=parameters)
-    return FunctionTracker("hungarian", True, information, track)
+    return Method("hungarian", True, information, track)
 
 
-def _peer(name: PeerName) -> FunctionTracker:
+def _peer(name: PeerName) -> Method:
     """Return a tracker of the package ``trackers``; running it without the package raises `InputError`."""
 
     def track(detections: Detections) -> TrackSet:
         return track_boxes(detections, TUNED[name], *load(name))
 
-    return FunctionTracker(name, True, "past only; boxes, where they were detected", track)
+    return Method(name, True, "past only; boxes, where they were detected", track)
 
 
 def _rows(detections: Detections) -> Rows:
@@ -380,7 +359,7 @@ def smoothed(tracks: TrackSet, model: Model) -> TrackSet:
     )
 
 
-registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
+registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
         "associate": _associate,
         "online": _online,
@@ -392,19 +371,9 @@ registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
 """Name → factory of the method, for the model that smooths. To add a method, add a line."""
 
 
-def make_tracker(method: TrackingMethod | str, model: Model) -> TrackingMethod:
-    """Return a method by its name in `registry`; a method is returned unchanged.
-
-    Raises
-    ------
-    InputError
-        For an unknown name.
-    """
-    if not isinstance(method, str):
-        return method
-    if method not in registry:
-        raise InputError(f"method {method!r}", f"with --truth one of {', '.join(registry)}")
-    return registry[method](model)
+def make_tracker(method: Method | str, model: Model) -> Method:
+    """Return a method by its name in `registry`; InputError for an unknown one."""
+    return made(method, registry, model, "with --truth ")
 
 
 FIGURES = ("hota", "idf1", "mota", "switches", "precision", "recall", "fragmentations")
@@ -417,7 +386,7 @@ REHEARSED = 5
 class TrackerResult:
     """The result of a method: its run time in seconds, and the metrics of its tracks."""
 
-    of: TrackingMethod
+    of: Method
     seconds: float
     score: SequenceScore
 
@@ -429,7 +398,7 @@ class TrackerResult:
     @property
     def group(self) -> str:
         """Group of the method: online and offline methods are not compared with each other."""
-        return group_of(self.of)
+        return self.of.group
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures in plain types."""
@@ -475,7 +444,7 @@ class TrackerComparison:
 def compare_trackers(
     detections: Detections,
     truth: TrackSet,
-    methods: Sequence[str | TrackingMethod] = TRACKERS,
+    methods: Sequence[str | Method] = TRACKERS,
     *,
     metres: float | None = None,
     fill: bool = False,
@@ -503,14 +472,14 @@ def compare_trackers(
         an empty truth.
     """
     chosen = Model.named(model)
-    made = compared(methods, lambda method: make_tracker(method, chosen), registry)
+    compete = compared(methods, lambda method: make_tracker(method, chosen), registry)
     threshold, true = threshold_of(metres), true_detections(truth)
     few = _first_frames(detections, REHEARSED)
     results, notes = [], []
-    for method in made:
-        method.track(few)
+    for method in sorted(compete, key=lambda method: not method.online):
+        method.run(few)
         start = time.perf_counter()
-        found = method.track(detections)
+        found = method.run(detections)
         seconds = time.perf_counter() - start
         if fill and method.online and len(found):
             found = smoothed(with_every_frame(found.map(_as_observed)), chosen)

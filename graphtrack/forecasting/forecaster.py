@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemo
 from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.saved import integer, real
+from graphtrack.saved import Saved
 
 _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
@@ -119,6 +119,18 @@ class Forecast:
     radius_90: FloatArray
     samples: FloatArray
 
+    def columns(self) -> dict[str, FloatArray]:
+        """Columns (n, A) of a table of forecasts: means, their spread, and the radii."""
+        return {
+            "x": self.position[..., 0],
+            "y": self.position[..., 1],
+            "x_std": np.sqrt(self.covariance[..., 0, 0]),
+            "y_std": np.sqrt(self.covariance[..., 1, 1]),
+            "xy_cov": self.covariance[..., 0, 1],
+            "radius_50": self.radius_50,
+            "radius_90": self.radius_90,
+        }
+
 
 def times_ahead(horizon: float, step: float) -> FloatArray:
     """Return times every ``step`` seconds up to ``horizon``.
@@ -136,7 +148,7 @@ def times_ahead(horizon: float, step: float) -> FloatArray:
     return times
 
 
-class Forecaster:
+class Forecaster(Saved):
     """Forecasts for the people of a scene, processed frame by frame.
 
     Memory is bounded: a filter for each person observed in the last seconds, and the scene's anchors.
@@ -155,6 +167,15 @@ class Forecaster:
     >>> told.track_id.tolist(), told.position[0, :, 0].round(1).tolist()
     ([7], [4.0, 4.5])
     """
+
+    _saved: ClassVar = {
+        "t": float,
+        "_numbers": int,
+        "_of": dict[int, int],
+        "_free": list[int],
+        **dict.fromkeys(_OF_A_PLACE, np.ndarray),
+        **dict.fromkeys(("_filters", "_paths", "_calibration"), Saved),
+    }
 
     def __init__(
         self, parameters: ForecastParameters | None = None, walkable: AreaLike | None = None
@@ -224,45 +245,6 @@ class Forecaster:
         self.t = t
         self._see_heads(ids, head)
         self._anchor(t, at)
-
-    def state(self) -> dict[str, Any]:
-        """Return the state to resume from, as arrays and numbers in dictionaries; see `from_state`."""
-        return {
-            "t": self.t if math.isfinite(self.t) else None,
-            "numbers": self._numbers,
-            "of": np.array(list(self._of.items()), np.int64).reshape(-1, 2),
-            "free": np.array(self._free, np.int64),
-            "people": {name: getattr(self, name).copy() for name in _OF_A_PLACE},
-            "filters": self._filters.state(),
-            "places": self._paths.state(),
-            "calibration": self._calibration.state(),
-        }
-
-    @classmethod
-    def from_state(
-        cls,
-        state: Mapping[str, Any],
-        parameters: ForecastParameters | None = None,
-        walkable: AreaLike | None = None,
-    ) -> Forecaster:
-        """Restore a forecaster from `state`, given the same parameters and area.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError, IndexError
-            If the state is damaged.
-        """
-        found = cls(parameters, walkable)
-        found.t = -math.inf if state["t"] is None else real(state["t"])
-        found._numbers = integer(state["numbers"])
-        found._of = dict(state["of"].tolist())
-        found._free = state["free"].tolist()
-        for name in _OF_A_PLACE:
-            setattr(found, name, state["people"][name])
-        found._filters.restore(state["filters"])
-        found._paths.restore(state["places"])
-        found._calibration.restore(state["calibration"])
-        return found
 
     def people(self, history: float = 0.0) -> NDArray[np.int64]:
         """Return ids of people observed now and before, for at least these seconds, in ascending order.

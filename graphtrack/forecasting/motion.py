@@ -7,27 +7,20 @@ differs by two orders of magnitude. Points of the plane are complex: both axes s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.atomic import atomic_path
-from graphtrack.io.source import read_toml
-from graphtrack.tracks.validation import check_numbers, number, with_table
-
-TABLE = "forecast"
-"""The table of a parameter file."""
+from graphtrack.io.source import ParameterFile
+from graphtrack.saved import Saved
+from graphtrack.tracks.validation import check_numbers, number
 
 
 @dataclass(frozen=True)
-class ForecastParameters:
+class ForecastParameters(ParameterFile):
     """Parameters of forecasts; the defaults are learned (training data: docs/forecast.md).
 
     Attributes
@@ -48,6 +41,8 @@ class ForecastParameters:
     tail_share, tail_scale : share of outlying motion, and factor of its spread
     scene_prior : forecasts with known outcome at which the scene's own errors have weight one half
     """
+
+    _table = "forecast"
 
     stop_speed: float = number(0.3, 0.0, 1.0, "m/s")
     companion_weight: float = number(2.0, 0.0, 100.0)
@@ -70,27 +65,6 @@ class ForecastParameters:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write a parameter file (TOML), atomically."""
-        content = tomli_w.dumps({TABLE: asdict(self)})
-        with atomic_path(path) as temporary:
-            Path(temporary).write_text(content, encoding="utf-8")
-
-    @classmethod
-    def load(cls, path: str | Path) -> ForecastParameters:
-        """Read a parameter file; missing keys have the defaults.
-
-        Raise InputError with the file and the invalid key.
-        """
-        expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
-        content = read_toml(path, expected)
-        if list(content) != [TABLE]:
-            raise InputError(f"the keys {', '.join(content) or 'none'}", expected, path=path)
-        try:
-            return with_table(cls(), TABLE, content[TABLE])
-        except InputError as error:
-            raise InputError(error.found, error.expected, path=path) from error
 
 
 ComplexArray = NDArray[np.complex128]
@@ -120,8 +94,12 @@ def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
     return found
 
 
-class MotionFilters:
+class MotionFilters(Saved):
     """Filters of people in numbered slots; the caller assigns the slots."""
+
+    _saved: ClassVar = dict.fromkeys(
+        ("_position", "_velocity", "_variance", "_evidence", "_habit"), np.ndarray
+    )
 
     def __init__(self, capacity: int) -> None:
         size = (capacity, len(BELIEFS))
@@ -137,15 +115,6 @@ class MotionFilters:
             values = getattr(self, name)
             wider = np.zeros((more, *values.shape[1:]), values.dtype)
             setattr(self, name, np.concatenate([values, wider]))
-
-    def state(self) -> dict[str, Any]:
-        """Return the state as arrays; see `restore`."""
-        return {name: np.array(values) for name, values in vars(self).items()}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore from `state`."""
-        for name in vars(self):
-            setattr(self, name, state[name])
 
     def begin(self, at: NDArray[np.int64], position: ComplexArray, std: FloatArray) -> None:
         """Start new people in the slots ``at`` (n,), observed at ``position`` (n,) with 1-σ ``std``."""

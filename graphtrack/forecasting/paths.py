@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
+from graphtrack.saved import Saved, pack, unpack
 
 _LEAST = -25.0
 """Logarithm of the smallest weight; smaller weights are below rounding next to a few people."""
@@ -106,13 +107,15 @@ class NearbyDeviations:
     square: FloatArray  # (n, G) their mean squared deviation, m²
 
 
-class PathMemory:
+class PathMemory(Saved):
     """The anchors of a scene.
 
     Parameters
     ----------
     judge : called with errors over the expected spread, and the indices of their `LAGS`
     """
+
+    _saved: ClassVar = {"_count": int, "_active": np.ndarray}
 
     def __init__(
         self, parameters: ForecastParameters, judge: Callable[[NDArray[np.int64], FloatArray], None]
@@ -133,20 +136,18 @@ class PathMemory:
         return min(self._count, _CAPACITY)
 
     def state(self) -> dict[str, Any]:
-        """Return the state as arrays and numbers; see `restore`."""
-        kept = {name: getattr(self, name)[: len(self)].copy() for name in _OF_ALL}
-        still_open = {name: getattr(self, name)[self._active] for name in _OF_OPEN}
-        random = self._random.bit_generator.state
-        return {"count": self._count, "random": random, "active": self._active, **kept, **still_open}
+        """Return the state to continue from; anchors that are not used yet are left out."""
+        kept = {name: pack(getattr(self, name)[: len(self)]) for name in _OF_ALL}
+        still_open = {name: pack(getattr(self, name)[self._active]) for name in _OF_OPEN}
+        return super().state() | {"random": self._random.bit_generator.state, **kept, **still_open}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state` was taken."""
-        self._count, self._active = state["count"], state["active"]
+        """Take over a `state`."""
+        super().restore(state)
         self._random.bit_generator.state = state["random"]
-        for name in _OF_ALL:
-            getattr(self, name)[: len(self)] = state[name]
-        for name in _OF_OPEN:
-            getattr(self, name)[self._active] = state[name]
+        for names, rows in ((_OF_ALL, slice(len(self))), (_OF_OPEN, self._active)):
+            for name in names:
+                getattr(self, name)[rows] = unpack(state[name], np.ndarray)
         self._where[:, : len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
 
     def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:

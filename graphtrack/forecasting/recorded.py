@@ -186,15 +186,7 @@ def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64
 
 def _columns(frame: int, made: Forecast) -> dict[str, NDArray[Any]]:
     people, times = made.position.shape[:2]
-    values = {
-        "x": made.position[..., 0],
-        "y": made.position[..., 1],
-        "x_std": np.sqrt(made.covariance[..., 0, 0]),
-        "y_std": np.sqrt(made.covariance[..., 1, 1]),
-        "xy_cov": made.covariance[..., 0, 1],
-        "radius_50": made.radius_50,
-        "radius_90": made.radius_90,
-    }
+    values = made.columns()
     for k in range(made.samples.shape[1]):
         values |= {f"sample_{k}_x": made.samples[:, k, :, 0], f"sample_{k}_y": made.samples[:, k, :, 1]}
     return {

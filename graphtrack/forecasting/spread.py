@@ -8,6 +8,7 @@ circles (conformal prediction with a prior).
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.forecasting.paths import LAGS
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import Saved
 
 LEVELS = (0.5, 0.9)
 """Probabilities of the circles of a forecast."""
@@ -100,11 +102,13 @@ _EDGES = np.linspace(np.log(0.01), np.log(50.0), 121)
 """Bin edges of the logarithm of the error over the spread."""
 
 
-class Calibration:
+class Calibration(Saved):
     """Counts of a scene's errors.
 
     ``parameters``: their prior expectation and its weight
     """
+
+    _saved: ClassVar = {"_counts": np.ndarray}
 
     def __init__(self, parameters: ForecastParameters) -> None:
         shares, scales = shares_and_scales(parameters)
@@ -115,14 +119,6 @@ class Calibration:
         self._usual = _quantiles(usual)
         self._counts = np.tile(parameters.scene_prior * usual, (len(LAGS), 1))
         self._factors: FloatArray | None = None
-
-    def state(self) -> FloatArray:
-        """Return the counts; see `restore`."""
-        return self._counts.copy()
-
-    def restore(self, state: FloatArray) -> None:
-        """Go on where `state` was taken."""
-        self._counts, self._factors = state, None
 
     def see(self, lag: NDArray[np.int64], relative: FloatArray) -> None:
         """Count errors (n,) over their spreads, at the indices of their `LAGS`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, g
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.groups import groups as find_groups
 from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Place, people_of_estimates
+from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
-from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
+from graphtrack.saved import Saved
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
@@ -25,7 +26,7 @@ _EXACT = 200.0  # concentration of a head observed without one
 
 
 @dataclass(frozen=True)
-class AttentionParameters:
+class AttentionParameters(ParameterFile):
     """Parameters of gaze.
 
     Attributes
@@ -37,6 +38,8 @@ class AttentionParameters:
     switching : 1/s, rate at which gaze leaves its target
     correlation_time : correlation time of a head's deviation from its target, s
     """
+
+    _table = "attention"
 
     look_std: float = number(0.3, 0.01, 3.0, "rad")
     nothing: float = number(0.3, 0.0, 1.0)
@@ -380,7 +383,7 @@ def _nobody(places: int) -> _Known:
     return _Known(ids, none, np.empty((0, 2)), zero, ids, none, none, *wide)
 
 
-class OnlineAttention:
+class OnlineAttention(Saved):
     """Gaze targets, frame by frame: `attention` with ``online=True``.
 
     Memory is bounded: the last targets of people observed in the last 100 s (40 mean gaze durations).
@@ -401,6 +404,8 @@ class OnlineAttention:
     >>> max(looks.told()[1], key=lambda look: look[2])[:2]
     ('person', 2)
     """
+
+    _saved: ClassVar = {"t": float, "_known": _Known}
 
     def __init__(self, places: Sequence[Place] = (), parameters: AttentionParameters | None = None) -> None:
         self.parameters = AttentionParameters() if parameters is None else parameters
@@ -460,42 +465,6 @@ class OnlineAttention:
         self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
         return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)
-
-    def state(self) -> dict[str, Any]:
-        """Return the state to resume from, as JSON-able data; see `from_state`."""
-        integers = ("track_id", "first", "target")
-        numbers = {
-            name: values.tolist() if name in integers else to_text(values)
-            for name, values in vars(self._known).items()
-        }
-        return {"t": None if math.isinf(self.t) else self.t, "known": numbers}
-
-    @classmethod
-    def from_state(
-        cls,
-        state: Mapping[str, Any],
-        places: Sequence[Place] = (),
-        parameters: AttentionParameters | None = None,
-    ) -> OnlineAttention:
-        """Restore attention from `state`, bit for bit, given the same places.
-
-        Raises
-        ------
-        InputError
-            If the state is damaged.
-        """
-        found = cls(places, parameters)
-        try:
-            found.t = -math.inf if state["t"] is None else real(state["t"])
-            parts = {}
-            for name, template in vars(found._known).items():
-                values = state["known"][name]
-                flat = from_text(values) if isinstance(values, str) else np.array(values, dtype=np.int64)
-                parts[name] = flat.reshape((-1, *template.shape[1:]))
-            found._known = _Known(**parts)
-        except DAMAGES as error:
-            raise damaged(error) from error
-        return found
 
 
 def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:

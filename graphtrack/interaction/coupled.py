@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.conversation import GROUP, Group, with_group_at
-from graphtrack.saved import from_text, integer, real, to_text
+from graphtrack.saved import Saved
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
 ROUNDS = 4  # times that groups and states are found at most
@@ -148,7 +148,7 @@ class _Known(NamedTuple):
     group: Group
 
 
-class Conversations:
+class Conversations(Saved):
     """Groups from the estimates of the frames that have ended, for the observations of the next.
 
     In each frame everybody's observation has what was known of their conversation when the frame before
@@ -158,6 +158,14 @@ class Conversations:
     ----------
     model : that of the smoothers, with groups
     """
+
+    _saved: ClassVar = {
+        "_t": float,
+        "_frame": int,
+        "_people": dict[int, Numbers],
+        "_known": dict[int, _Known],
+        "_evidence": Saved,
+    }
 
     def __init__(self, model: Model) -> None:
         self._correlation_time = model.parameters.social.correlation_time
@@ -213,27 +221,3 @@ class Conversations:
         with_groups = np.column_stack([share[:, None] * found[:, :2], found[:, 2]])
         for one, (x, y, _), group in zip(ids, found.tolist(), with_groups.tolist(), strict=True):
             self._known[one] = _Known(t, x, y, tuple(group))
-
-    def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
-
-        def packed(numbers: Mapping[int, tuple[float, ...]]) -> list[list[Any]]:
-            return [[one, to_text(np.array(values))] for one, values in numbers.items()]
-
-        known = {one: (known.t, known.x, known.y, *known.group) for one, known in self._known.items()}
-        t = None if math.isinf(self._t) else self._t
-        found = {"t": t, "frame": self._frame, "people": packed(self._people), "known": packed(known)}
-        return found | self._evidence.state()
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], model: Model) -> Conversations:
-        """Conversations that go on where `state` was taken, to the last bit, given the same model."""
-        found = cls(model)
-        found._evidence.restore(state)
-        found._t = -math.inf if state["t"] is None else real(state["t"])
-        found._frame = integer(state["frame"])
-        found._people = {integer(one): tuple(from_text(text).tolist()) for one, text in state["people"]}
-        for one, text in state["known"]:
-            t, x, y, *group = from_text(text).tolist()
-            found._known[integer(one)] = _Known(t, x, y, tuple(group))
-        return found

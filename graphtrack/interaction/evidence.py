@@ -8,9 +8,8 @@ and heads point there, and where the other people stand.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from graphtrack.geometry.angles import FloatArray, concentration_from_resultant,
 from graphtrack.interaction.parameters import GroupParameters
 from graphtrack.interaction.people import IntArray, People
 from graphtrack.kernels.compilation import allocating, compiled
-from graphtrack.saved import from_text, to_text
+from graphtrack.saved import Saved
 
 REACH = 4.0  # metres: people further apart are in no group by themselves, only through others
 
@@ -420,12 +419,14 @@ def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
     return found.evidence(people, np.hstack([odds, company]), seconds, parameters)
 
 
-class OnlineEvidence:
+class OnlineEvidence(Saved):
     """`pair_evidence` from the past alone, frame by frame.
 
     Each pair has averages of its own. What is kept is bounded: the pairs that were within 4 m of each other
     in the last minutes (five times the longest time of averaging).
     """
+
+    _saved: ClassVar = dict.fromkeys(("_pairs", "_last", "_sums"), np.ndarray)
 
     def __init__(self, parameters: GroupParameters) -> None:
         self.parameters = parameters
@@ -456,13 +457,3 @@ class OnlineEvidence:
         )
         here = self._last == t  # in the order of the frame's pairs
         return found.evidence(people, means, self._sums[here, 5], self.parameters)
-
-    def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
-        return {"pairs": self._pairs.tolist(), "last": to_text(self._last), "sums": to_text(self._sums)}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state` was taken, given the same parameters."""
-        self._pairs = np.array(state["pairs"], dtype=np.int64).reshape(-1, 2)
-        self._last = from_text(state["last"]).reshape(len(self._pairs))
-        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 6)

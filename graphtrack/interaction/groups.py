@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from graphtrack.interaction.evidence import (
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
 from graphtrack.kernels.compilation import allocating, compiled
-from graphtrack.saved import DAMAGES, damaged, integer, real
+from graphtrack.saved import Saved
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -233,13 +233,19 @@ def partitions(
     return found
 
 
-class Numbering:
+class Numbering(Saved):
     """Numbers groups frame by frame.
 
     A group keeps its number while more than half of those who were in it are; where several groups become
     one, it is that of most of its members. A number that was lost is found again for ``memory`` seconds, and
     forgotten then.
     """
+
+    _saved: ClassVar = {
+        "_following": int,
+        "_last": dict[int, tuple[float, frozenset[int]]],
+        "_number_of": dict[int, int],
+    }
 
     def __init__(self, memory: float) -> None:
         self._memory = memory
@@ -277,18 +283,6 @@ class Numbering:
             self._last[number] = (t, member)
             self._number_of.update(dict.fromkeys(member, number))
         return [taken[place] for place in range(len(members))]
-
-    def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `restore`."""
-        groups = [[number, t, sorted(member)] for number, (t, member) in self._last.items()]
-        return {"following": self._following, "groups": groups, "of": list(self._number_of.items())}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on where `state` was taken."""
-        self._following = integer(state["following"])
-        groups = state["groups"]
-        self._last = {integer(one): (real(t), frozenset(map(integer, member))) for one, t, member in groups}
-        self._number_of = {integer(person): integer(one) for person, one in state["of"]}
 
     def _forget(self, t: float) -> None:
         for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:
@@ -456,7 +450,7 @@ def _centres(
     return np.where(size[:, None] > 1, total / size[:, None], np.nan)
 
 
-class OnlineGroups:
+class OnlineGroups(Saved):
     """Groups, frame by frame: `groups` with ``online=True``.
 
     Evidence of pairs is averaged over the past, each pair's by itself; what is kept of it is bounded, see
@@ -476,6 +470,8 @@ class OnlineGroups:
     >>> found.to_table()["kind"].tolist()
     ['walking', 'walking']
     """
+
+    _saved: ClassVar = {"t": float, "_numbering": Saved, "_evidence": Saved}
 
     def __init__(self, parameters: GroupParameters | None = None) -> None:
         self.parameters = DEFAULT if parameters is None else parameters
@@ -511,30 +507,4 @@ class OnlineGroups:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
         found = groups_of(people, self.parameters, self._evidence.take(people), self._numbering)
         self.t = t
-        return found
-
-    def state(self) -> dict[str, Any]:
-        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
-        return {
-            "t": None if math.isinf(self.t) else self.t,
-            "numbers": self._numbering.state(),
-            **self._evidence.state(),
-        }
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], parameters: GroupParameters | None = None) -> OnlineGroups:
-        """Groups that go on where `state` was taken, to the last bit, given the same parameters.
-
-        Raises
-        ------
-        InputError
-            If the state is damaged.
-        """
-        found = cls(parameters)
-        try:
-            found.t = -math.inf if state["t"] is None else real(state["t"])
-            found._numbering.restore(state["numbers"])
-            found._evidence.restore(state)
-        except DAMAGES as error:
-            raise damaged(error) from error
         return found

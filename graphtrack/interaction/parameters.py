@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
-from graphtrack.errors import InputError
-from graphtrack.tracks.validation import check_numbers, number, with_table
+from graphtrack.io.source import ParameterFile
+from graphtrack.tracks.validation import check_numbers, number
 
 
 @dataclass(frozen=True)
-class GroupParameters:
+class GroupParameters(ParameterFile):
     """Parameters of groups.
 
     Attributes
@@ -31,6 +30,8 @@ class GroupParameters:
     encounter_odds : log odds against a conversation of two who have just come near each other
     encounter_seconds : time constant with which that decays in the seconds for which they stay together
     """
+
+    _table = "groups"
 
     stride: float = number(0.7, 0.0, 3.0, "m")
     space_std: float = number(0.3, 0.05, 3.0, "m")
@@ -57,25 +58,6 @@ class GroupParameters:
     def seconds(self) -> tuple[float, float]:
         """The times over which a pair's values are averaged."""
         return self.persistence_seconds, self.memory_seconds
-
-    @classmethod
-    def from_dict(cls, table: dict[str, Any], start: GroupParameters) -> GroupParameters:
-        """Parameters from a table; what is not named is as in ``start``.
-
-        Raise InputError for an unknown name, for a value out of its range, and for the weights of an earlier
-        version.
-        """
-        old = sorted({"places", "bodies", "heads", "companions", "others", "strangers"} & set(table))
-        if old:
-            raise InputError(
-                f"the table [groups.{old[0]}] of an earlier version",
-                "parameters that 'graphtrack fit --groups' of this version wrote",
-            )
-        return with_table(start, "groups", table)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a table: the inverse of `from_dict`."""
-        return asdict(self)
 
 
 DEFAULT = GroupParameters()

@@ -1,27 +1,21 @@
-"""Files of groups, gaze labels and attention, and of the parameters of both."""
+"""Files of groups, gaze labels and attention."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.interaction.attention import Attention, AttentionParameters
+from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.groups import KINDS, Groups
-from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.io.atomic import atomic_path
 from graphtrack.io.formats.native import open_table
 from graphtrack.io.groups import UNLABELLED
-from graphtrack.io.source import read_toml
 from graphtrack.tracks.cells import Cells, integers, numbers
-from graphtrack.tracks.validation import with_table
 
 IntArray = NDArray[np.int64]
 
@@ -158,43 +152,3 @@ def read_attention(path: str | Path) -> list[Attention]:
         share[row, column] = probability[mine]
         found.append(Attention(one, frames, t[mine][first], tuple(targets.tolist()), codes, share))
     return found
-
-
-Made = TypeVar("Made", GroupParameters, AttentionParameters)
-
-
-def save_parameters(parameters: GroupParameters | AttentionParameters, path: str | Path) -> None:
-    """Write parameters of groups or of attention (TOML), atomically."""
-    if isinstance(parameters, AttentionParameters):
-        content = {"attention": asdict(parameters)}
-    else:
-        content = {"groups": parameters.to_dict()}
-    with atomic_path(path) as temporary:
-        temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
-
-
-def load_parameters(path: str | Path) -> GroupParameters:
-    """Read parameters of groups (TOML); missing keys have the defaults.
-
-    Raise InputError with the file and the key.
-    """
-    return _loaded(path, "groups", lambda table: GroupParameters.from_dict(table, DEFAULT))
-
-
-def load_attention(path: str | Path) -> AttentionParameters:
-    """Read parameters of attention (TOML); missing keys have the defaults.
-
-    Raise InputError with the file and the key.
-    """
-    return _loaded(path, "attention", lambda table: with_table(AttentionParameters(), "attention", table))
-
-
-def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
-    """Return parameters from a file's table; errors name the file."""
-    table = read_toml(path, "a file of parameters").get(name)
-    try:
-        if not isinstance(table, dict):
-            raise InputError(f"no table [{name}]", f"the output of 'graphtrack fit --{name}'")
-        return made(table)
-    except InputError as error:
-        raise error.at(path) from error

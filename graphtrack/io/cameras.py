@@ -228,10 +228,8 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
     numbers = read_numbers(
         source, delimiter=None, widths=(4,), names=("u", "v", "X", "Y"), comments=True
     ).values
-    rows = _row_selection(options.point_pairs_rows, len(numbers))
-    metres = 0.01 if options.point_pairs_unit == "cm" else 1.0
     try:
-        camera, fit = GroundCamera.from_point_pairs(numbers[rows, :2], numbers[rows, 2:] * metres)
+        camera, fit = GroundCamera.from_point_pairs(numbers[:, :2], numbers[:, 2:])
     except InputError as error:
         raise error.at(path) from error
     exact = " (four pairs always fit exactly)" if fit.n_pairs == 4 else ""
@@ -239,22 +237,6 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
         f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "
         f"{fit.max_error:.3g} m at most{exact}",
     )
-
-
-def _row_selection(text: str | None, count: int) -> list[int]:
-    """Return the 0-based indices of a 1-based selection such as ``"1,5-8"``."""
-    if text is None:
-        return list(range(count))
-    chosen: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.strip().partition("-")
-        if not (first.isdecimal() and (last or first).isdecimal() and len(first + last) < 10):
-            raise InputError(f"point_pairs_rows = {text!r}", "rows such as '5-8' or '1,2,5-8'")
-        start, stop = int(first), int(last or first)
-        if not 1 <= start <= stop <= count:
-            raise InputError(f"point_pairs_rows = {text!r}", f"rows from 1 to {count}")
-        chosen.extend(range(start - 1, stop))
-    return chosen
 
 
 def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:

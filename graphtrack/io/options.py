@@ -89,11 +89,8 @@ class ReadingBase(TypedDict, total=False):
 
     homography: FloatArray | str | Path | None
     point_pairs: str | Path | None
-    point_pairs_unit: str
-    point_pairs_rows: str | None
     calibration: str | Path | None
     metres_per_pixel: float | None
-    image_scale: float | None
     nadir: tuple[float, float] | None
     oxts: str | Path | None
     ego_calibration: str | Path | None
@@ -138,12 +135,9 @@ class ReadOptions:
     fps : frames a second, for files without times
     camera : a camera; it takes precedence over the next four
     homography : (3, 3) image → ground (metres), or the path of a text file with its nine numbers
-    point_pairs : path of a text file with rows ``u v X Y``
-    point_pairs_unit : unit of X and Y in ``point_pairs``, "m" or "cm"
-    point_pairs_rows : the rows to use, from 1, such as ``"5-8"`` or ``"1,2,5-8"``
+    point_pairs : path of a text file with rows ``u v X Y``, X and Y in metres
     calibration : path of a camera calibration (``.ci``)
     metres_per_pixel : scale of a view from straight above (or approximated as one)
-    image_scale : factor from the file's pixels to those of the calibrated image
     nadir : pixel (u, v) straight below a camera that looks down, where people stretch away from it
     oxts, ego_calibration : paths of KITTI's ego motion and calibration
     classes : classes of objects to read, where a file has several
@@ -167,11 +161,8 @@ class ReadOptions:
     camera: GroundCamera | None = None
     homography: FloatArray | str | Path | None = None
     point_pairs: str | Path | None = None
-    point_pairs_unit: str = "m"
-    point_pairs_rows: str | None = None
     calibration: str | Path | None = None
     metres_per_pixel: float | None = None
-    image_scale: float | None = None
     nadir: tuple[float, float] | None = None
     oxts: str | Path | None = None
     ego_calibration: str | Path | None = None
@@ -191,9 +182,6 @@ class ReadOptions:
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
         check_positive("metres_per_pixel", self.metres_per_pixel, 1e6)
-        check_positive("image_scale", self.image_scale, 1e3)
-        if self.point_pairs_unit not in ("m", "cm"):
-            raise InputError(f"point_pairs_unit = {self.point_pairs_unit!r}", "'m' or 'cm'")
         if self.associate not in get_args(Associate):
             raise InputError(f"associate = {self.associate!r}", f"one of {', '.join(get_args(Associate))}")
         object.__setattr__(

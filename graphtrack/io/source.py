@@ -10,13 +10,17 @@ import math
 import tomllib
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
+
+import tomli_w
 
 from graphtrack.errors import InputError
+from graphtrack.io.atomic import atomic_path
 from graphtrack.packages import package
+from graphtrack.tracks.validation import with_table
 
 _MARK = "://"
 
@@ -271,3 +275,36 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
         raise InputError(f"no TOML ({error})", expected, path=path) from error
     except RecursionError as error:
         raise InputError("brackets within brackets without end", expected, path=path) from error
+
+
+class ParameterFile:
+    """Base of a dataclass of parameters that ``graphtrack fit`` writes as a table of a TOML file.
+
+    Attributes
+    ----------
+    _table : name of the table, and of the option of ``fit``
+    """
+
+    _table: ClassVar[str]
+
+    def save(self, path: str | Path) -> None:
+        """Write a parameter file, atomically."""
+        content = tomli_w.dumps({self._table: asdict(self)})  # type: ignore[call-overload]
+        with atomic_path(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a parameter file; missing keys have the defaults.
+
+        Raise InputError with the file and the invalid key.
+        """
+        expected = f"the output of 'graphtrack fit --{cls._table}'"
+        content = read_toml(path, expected)
+        try:
+            if cls._table not in content:
+                found = ", ".join(content) or "an empty file"
+                raise InputError(f"no table [{cls._table}] ({found})", expected)
+            return with_table(cls(), cls._table, content[cls._table])
+        except InputError as error:
+            raise error.at(path) from error

@@ -23,7 +23,9 @@ from graphtrack.forecasting.paths import EVERY, LAGS
 from graphtrack.forecasting.recorded import PeopleOfFrame, frames_of
 from graphtrack.forecasting.spread import LEVELS, log_density
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.gaps import positions_at
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import with_clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,35 +40,20 @@ class Recording:
 
 def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
     """Return the training data; ``times`` (G,) ahead."""
-    paths = {one.track_id: (one.t, one.position[:, 0] + 1j * one.position[:, 1]) for one in tracks}
+    times_of = {one.track_id: one.t for one in tracks}
     around = np.concatenate([[-EVERY, 0.0], times])
     frames, actual, straight = [], [], []
     of_person = {
-        name: _positions_at(t, place, (t[:, None] + around).ravel()).reshape(len(t), -1)
-        for name, (t, place) in paths.items()
+        one.track_id: positions_at(one.t, one.position, one.t[:, None] + around) @ [1.0, 1.0j]
+        for one in tracks
     }
     for observed in frames_of(tracks):
-        rows = [int(np.searchsorted(paths[one][0], observed.t - 1e-6)) for one in observed.track_id.tolist()]
+        rows = [int(np.searchsorted(times_of[one], observed.t - 1e-6)) for one in observed.track_id.tolist()]
         found = np.array([of_person[one][k] for one, k in zip(observed.track_id.tolist(), rows, strict=True)])
         frames.append(observed)
         actual.append(found[:, 2:])
         straight.append(found[:, 1:2] + (found[:, 1:2] - found[:, :1]) * times / EVERY)
     return Recording(tuple(frames), tuple(actual), tuple(straight))
-
-
-def _positions_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
-    """Return interpolated positions between two sightings that are not far apart; NaN elsewhere."""
-    observed = np.isfinite(place)
-    if not observed.any():
-        return np.full(len(at), complex(np.nan, np.nan))
-    t, place = t[observed], place[observed]
-    after = np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
-    before = np.maximum(after - 1, 0)
-    span = t[after] - t[before]
-    share = np.where(span > 0, (at - t[before]) / np.where(span > 0, span, 1.0), 1.0)
-    found = place[before] + np.clip(share, 0.0, 1.0) * (place[after] - place[before])
-    inside = (at >= t[0] - 1e-6) & (at <= t[-1] + 1e-6) & (span <= 1.0)
-    return np.where(inside, found, np.nan)
 
 
 def forecasts(
@@ -290,13 +277,8 @@ def _search(
 def _fit_spread(found: Sequence[Outcomes], start: ForecastParameters) -> ForecastParameters:
     from scipy.optimize import minimize
 
-    ranges = {name: ForecastParameters.__dataclass_fields__[name].metadata["range"] for name in SPREAD}
-
     def parameters(at: FloatArray) -> ForecastParameters:
-        values = {
-            name: float(np.clip(np.exp(one), *ranges[name])) for name, one in zip(SPREAD, at, strict=True)
-        }
-        return replace(start, **values)
+        return with_clipped(start, dict(zip(SPREAD, np.exp(at).tolist(), strict=True)))
 
     def cost(at: FloatArray) -> float:
         return -float(np.mean([density(one, parameters(at)) for one in found]))

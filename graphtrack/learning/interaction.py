@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, fields, replace
-from typing import Any
+from dataclasses import astuple, dataclass, replace
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_ga
 from graphtrack.interaction.tables import LookLabels
 from graphtrack.io.groups import UNLABELLED, GroupLabels
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import with_clipped
 
 _LEAST = 20
 """Pairs in frames, of those who walk together and of those who do not, below which nothing is learned."""
@@ -53,11 +54,7 @@ def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupPa
         "strangers_density": 1.0 / (np.pi * REACH**2 * ALONG),
         "walking_share": together.mean(),
     }
-    ranges = {one.name: one.metadata["range"] for one in fields(start) if one.name in learned}
-    values: dict[str, Any] = {
-        name: float(np.clip(np.round(value, 4), *ranges[name])) for name, value in learned.items()
-    }
-    return replace(start, **values)
+    return with_clipped(start, {name: np.round(value, 4) for name, value in learned.items()})
 
 
 _PRIOR = {
@@ -82,14 +79,33 @@ _HIDDEN: tuple[Callable[[Track], Track], ...] = (
 """What is learned from: one model serves whatever is known of people."""
 
 
+Values = TypeVar("Values", GroupParameters, AttentionParameters)
+Score = TypeVar("Score", GroupScore, LookScore)
+
+
 @dataclass(frozen=True)
-class GroupFit:
+class LabelledFit(Generic[Values, Score]):
     """Learned parameters, and their scores on training and held-out data."""
 
-    parameters: GroupParameters
-    start: GroupParameters
-    learned_from: GroupScore
-    held_out: GroupScore | None
+    parameters: Values
+    start: Values
+    learned_from: Score
+    held_out: Score | None
+
+
+GroupFit: TypeAlias = LabelledFit[GroupParameters, GroupScore]
+AttentionFit: TypeAlias = LabelledFit[AttentionParameters, LookScore]
+
+
+def _searched(
+    cost: Callable[[FloatArray], float], start: FloatArray, steps: FloatArray, **stop: float
+) -> FloatArray:
+    """Return the minimum (n,) by the simplex of Nelder and Mead (1965), which begins with ``steps`` (n,)."""
+    from scipy.optimize import minimize
+
+    simplex = start + np.vstack([np.zeros(len(start)), np.diag(steps)])
+    found = minimize(cost, start, method="Nelder-Mead", options={"initial_simplex": simplex, **stop})
+    return np.asarray(found.x)
 
 
 def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25) -> GroupFit:
@@ -104,8 +120,6 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
 
     ``hold_out``: share of the recording's end held out for validation
     """
-    from scipy.optimize import minimize
-
     people = people_of(tracks)
     label = labels.labels(*_rows(people))
     t = people.t[people.frame_of]
@@ -130,9 +144,7 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
             mean = float(np.mean(logs)) / len(chosen)
             return 0.5 * float(np.sum(((free - begin) / spread) ** 2)) - independent * mean
 
-        simplex = begin + np.vstack([np.zeros(len(begin)), np.diag(spread)])
-        options = {"maxfev": _TRIALS, "initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01}
-        best = minimize(cost, begin, method="Nelder-Mead", options=options).x
+        best = _searched(cost, begin, spread, maxfev=_TRIALS, xatol=0.01, fatol=0.01)
         parameters = _with_conversations(parameters, best)
     elif parameters == DEFAULT:
         raise InputError(
@@ -142,7 +154,7 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
     before, after = (label.copy() for _ in range(2))
     before[t > split], after[t <= split] = UNLABELLED, UNLABELLED
     held = _scored(people, parameters, after) if (after != UNLABELLED).any() else None
-    return GroupFit(parameters, DEFAULT, _scored(people, parameters, before), held)
+    return LabelledFit(parameters, DEFAULT, _scored(people, parameters, before), held)
 
 
 def independent_frames(people: People, label: IntArray, used: BoolArray) -> float:
@@ -179,12 +191,8 @@ def _stand(people: People, label: IntArray, used: BoolArray, parameters: GroupPa
 
 def _with_conversations(parameters: GroupParameters, free: FloatArray) -> GroupParameters:
     """With the logarithms of the parameters of `_PRIOR`, within their ranges."""
-    ranges = {one.name: one.metadata["range"] for one in fields(parameters)}
-    values: dict[str, Any] = {
-        name: float(np.clip(round(value, 3), *ranges[name]))
-        for name, value in zip(_PRIOR, np.exp(free).tolist(), strict=True)
-    }
-    return replace(parameters, **values)
+    values = dict(zip(_PRIOR, np.exp(free).round(3).tolist(), strict=True))
+    return with_clipped(parameters, values)
 
 
 def _frames(people: People, chosen: BoolArray) -> People:
@@ -248,16 +256,6 @@ _WIDE = 2.0  # 1-σ of the logarithm of a parameter about its start: a prior wor
 _MOST = 300  # evaluations
 
 
-@dataclass(frozen=True)
-class AttentionFit:
-    """Learned parameters, and their scores on training and held-out data."""
-
-    parameters: AttentionParameters
-    start: AttentionParameters
-    learned_from: LookScore
-    held_out: LookScore | None
-
-
 def fit_attention(
     tracks: TrackSet,
     labels: LookLabels,
@@ -278,8 +276,6 @@ def fit_attention(
     start : starting point; by default the parameters' defaults
     hold_out : share of the recording's end held out for validation
     """
-    from scipy.optimize import minimize
-
     start = AttentionParameters() if start is None else start
     _check(tracks, labels)
     found = groups(tracks)
@@ -300,14 +296,13 @@ def fit_attention(
         ]
         return belief - float(np.concatenate(logs).mean())
 
-    simplex = begin + np.vstack([np.zeros(len(begin)), _STEP * np.eye(len(begin))])
-    options = {"maxfev": _MOST, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
-    best = _parameters(minimize(cost, begin, method="Nelder-Mead", options=options).x)
+    steps = np.full(len(begin), _STEP)
+    best = _parameters(_searched(cost, begin, steps, maxfev=_MOST, xatol=0.02, fatol=1e-4))
     parameters = AttentionParameters(*(float(f"{value:.3g}") for value in astuple(best)))
     estimated = attention(tracks, parameters=parameters, groups=found)
     after = (labelled > split).any()
     held = score_gaze(estimated, labels, (split, np.inf)) if after else None
-    return AttentionFit(parameters, start, score_gaze(estimated, labels, (-np.inf, split)), held)
+    return LabelledFit(parameters, start, score_gaze(estimated, labels, (-np.inf, split)), held)
 
 
 def _check(tracks: TrackSet, labels: LookLabels) -> None:
@@ -342,7 +337,4 @@ def _parameters(free: FloatArray) -> AttentionParameters:
     """The inverse of `_free`, within the bounds."""
     values = dict(zip(vars(AttentionParameters()), np.exp(np.clip(free, -14.0, 14.0)).tolist(), strict=True))
     values["nothing"] /= 1.0 + values["nothing"]
-    for one in fields(AttentionParameters):
-        low, high = one.metadata["range"]
-        values[one.name] = min(max(values[one.name], low), high)
-    return AttentionParameters(**values)
+    return with_clipped(AttentionParameters(), values)

@@ -58,10 +58,10 @@ class LearnedOfScene:
 class Part:
     """Numbers of a part of a recording, and its log density."""
 
-    detections: int
-    false: int
-    people: int
     seconds: float
+    detections: int
+    people: int
+    false: int
     before: float  # log density a detection with the parameters at the start
     after: float  # and with those learned
 
@@ -201,7 +201,7 @@ class _Explained:
         t, identity = self.detections.t, after.identity
         false, people = int((identity < 0).sum()), int(identity.max()) + 1
         seconds = float(t[-1] - t[0])
-        return Part(len(t), false, people, seconds, self.density(start), after.density(found))
+        return Part(seconds, len(t), people, false, self.density(start), after.density(found))
 
 
 def _recording(rows: Rows, labelled: bool) -> tuple[Detections, NDArray[np.int64]]:

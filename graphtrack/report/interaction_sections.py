@@ -22,7 +22,7 @@ from graphtrack.report.plots.interaction import (
     plot_matrix,
 )
 from graphtrack.report.plots.interaction import MOST as MOST_GROUPS
-from graphtrack.report.style import longest_step
+from graphtrack.tracks.gaps import positions_at
 from graphtrack.tracks.track import TrackSet
 
 _LISTED = 8
@@ -218,16 +218,8 @@ def _errors(columns: Mapping[str, NDArray[Any]], pairs: Sequence[Pair]) -> Float
         pair = of[person]
         true = np.isfinite(pair.true_position).any()
         position = pair.true_position if true else pair.estimate.position
-        observed = np.isfinite(position).all(axis=1)
-        t, where = pair.estimate.t[observed], position[observed]
-        if not len(t):
-            continue
-        then = columns["t"][rows] + columns["ahead"][rows]
-        off = np.hypot(*(np.interp(then, t, where[:, k]) - columns["xy"[k]][rows] for k in (0, 1)))
-        after = np.minimum(np.searchsorted(t, then - 1e-6), len(t) - 1)
-        before = np.maximum(np.searchsorted(t, then + 1e-6) - 1, 0)
-        inside = (then <= t[-1] + 1e-6) & (then >= t[0] - 1e-6) & (t[after] - t[before] <= longest_step(t))
-        error[rows] = np.where(inside, off, np.nan)
+        then = positions_at(pair.estimate.t, position, columns["t"][rows] + columns["ahead"][rows])
+        error[rows] = np.hypot(then[:, 0] - columns["x"][rows], then[:, 1] - columns["y"][rows])
     return error
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
-from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of
-from graphtrack.io.formats.ros_reading import Ground, Humans, Sightings, Transforms
+from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of, sightings_of
+from graphtrack.io.formats.ros_reading import Ground, Humans, Transforms
 from graphtrack.io.formats.ros_writing import Person
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
@@ -126,7 +126,7 @@ class Live:
                 return None
             self._begin()
             self.transforms.forget_after(frame.stamp)
-        sightings = Sightings.of([(frame, 1)])
+        sightings = sightings_of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
         if len(sightings):
             columns, known = self._ground.placed(sightings)

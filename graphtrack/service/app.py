@@ -357,18 +357,6 @@ async def _cancel(*tasks: asyncio.Task[Any]) -> None:
             await task
 
 
-async def page(request: Request) -> Response:
-    """Return a page for browsers."""
-    return PlainTextResponse(description.text())
-
-
-async def listed(request: Request) -> Response:
-    """Return the open streams."""
-    streams: Streams = request.app.state.streams
-    streams.check(request)
-    return JSONResponse({"streams": streams.names()})
-
-
 async def forgotten(request: Request) -> Response:
     """Remove the saved state of a stream."""
     streams: Streams = request.app.state.streams
@@ -376,41 +364,37 @@ async def forgotten(request: Request) -> Response:
     return Response(status_code=204)
 
 
-async def health(request: Request) -> Response:
-    """Return True if new streams are taken; needs no token."""
-    streams: Streams = request.app.state.streams
-    return JSONResponse({"status": "ok", "streams": len(streams.names())})
-
-
-async def ready(request: Request) -> Response:
-    """Return status 200 if streams can be opened, else 503; needs no token."""
-    streams: Streams = request.app.state.streams
+def ready(streams: Streams) -> Response:
+    """Return status 200 if streams can be opened, else 503."""
     if streams.is_ready:
         return JSONResponse({"status": "ready"})
     reason = _STOPPING if streams.stopping.is_set() else "the service is compiling; try again"
     return JSONResponse({"error": reason}, 503)
 
 
-async def version(request: Request) -> Response:
-    """Return the version of the service; needs no token."""
-    return JSONResponse({"version": __version__})
+_PAGES: dict[str, tuple[bool, Callable[[Streams], Response]]] = {
+    "/": (False, lambda streams: PlainTextResponse(description.text())),
+    "/health": (False, lambda streams: JSONResponse({"status": "ok", "streams": len(streams.names())})),
+    "/ready": (False, ready),
+    "/version": (False, lambda streams: JSONResponse({"version": __version__})),
+    "/openapi.json": (False, lambda streams: JSONResponse(description.openapi())),
+    "/docs": (False, lambda streams: HTMLResponse(description.page())),
+    "/metrics": (
+        True,
+        lambda streams: Response(streams.metrics.text(), media_type="text/plain; version=0.0.4"),
+    ),
+    "/v1/streams": (True, lambda streams: JSONResponse({"streams": streams.names()})),
+}
+"""Path → True if it needs the token, and the response to GET; see ``assets/openapi.json``."""
 
 
-async def described(request: Request) -> Response:
-    """Return the OpenAPI document."""
-    return JSONResponse(description.openapi())
-
-
-async def docs(request: Request) -> Response:
-    """Return the OpenAPI document as a page."""
-    return HTMLResponse(description.page())
-
-
-async def metrics(request: Request) -> Response:
-    """Return the counters in Prometheus' text format."""
+async def page(request: Request) -> Response:
+    """Return one of `_PAGES`."""
     streams: Streams = request.app.state.streams
-    streams.check(request)
-    return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
+    needs_token, make = _PAGES[request.url.path]
+    if needs_token:
+        streams.check(request)
+    return make(streams)
 
 
 def application(streams: Streams) -> Starlette:
@@ -424,14 +408,7 @@ def application(streams: Streams) -> Starlette:
 
     one = "/v1/streams/{name}"
     routes = [
-        Route("/", page),
-        Route("/health", health),
-        Route("/ready", ready),
-        Route("/version", version),
-        Route("/openapi.json", described),
-        Route("/docs", docs),
-        Route("/metrics", metrics),
-        Route("/v1/streams", listed),
+        *(Route(path, page) for path in _PAGES),
         Route(one, by_http, methods=["POST"]),
         Route(one, forgotten, methods=["DELETE"]),
         WebSocketRoute(one, by_websocket),

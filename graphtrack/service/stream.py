@@ -152,7 +152,10 @@ def nothing() -> None:
 def prepare(service: Service) -> None:
     """Start the processes' parent with all code loaded; compile missing code."""
     answers = service.answers
-    os.environ[WARM] = json.dumps({"model": answers.model.to_dict(), "walls": answers.walkable is not None})
+    walls = answers.walkable is not None
+    walls = answers.walkable is not None
+    given = {"model": answers.model.to_dict(), "walls": walls, "engine": answers.engine}
+    os.environ[WARM] = json.dumps(given)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are the parallel units
     if FORKED:
         PROCESSES.set_forkserver_preload([work.__module__])

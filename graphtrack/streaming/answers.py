@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,12 +24,9 @@ from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
-from graphtrack.saved import from_text, integer, pack_tree, real, to_text
+from graphtrack.saved import Saved
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
-
-BEHAVIOUR = "behaviour"
-"""Key of groups and attention in the state of a stream."""
 
 FRAMES = "frames"
 """Key of `EndedFrames` among the saved members of a stream."""
@@ -59,8 +56,10 @@ class Asked:
         return found
 
 
-class SceneBehaviour:
+class SceneBehaviour(Saved):
     """Estimator of groups and attention of a scene, as columns of the people of each frame."""
+
+    _saved: ClassVar = {"_groups": Saved, "_attention": Saved}
 
     def __init__(self, asked: Asked) -> None:
         self._asked = asked
@@ -85,20 +84,6 @@ class SceneBehaviour:
                 ]
         return rows
 
-    def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `restore`."""
-        attention = None if self._attention is None else self._attention.state()
-        return {"groups": self._groups.state(), "attention": attention}
-
-    @classmethod
-    def restore(cls, state: Mapping[str, Any], asked: Asked) -> SceneBehaviour:
-        """Restore a scene from `state`, for the same selection."""
-        scene = cls(asked)
-        scene._groups = OnlineGroups.from_state(state["groups"])
-        if scene._attention is not None:
-            scene._attention = OnlineAttention.from_state(state["attention"], asked.places)
-        return scene
-
 
 def _group_columns(found: Groups) -> list[dict[str, Any]]:
     """Return a dictionary for each row: the columns of the table, null where a cell is empty."""
@@ -120,16 +105,7 @@ STEP = 0.4
 
 def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
     """Return the forecasts of each person: a dictionary for each time ahead."""
-    variance = forecast.covariance
-    columns = {
-        "x": forecast.position[..., 0],
-        "y": forecast.position[..., 1],
-        "x_std": np.sqrt(variance[..., 0, 0]),
-        "y_std": np.sqrt(variance[..., 1, 1]),
-        "xy_cov": variance[..., 0, 1],
-        "radius_50": forecast.radius_50,
-        "radius_90": forecast.radius_90,
-    }
+    columns = forecast.columns()
     ahead = forecast.ahead.round(9).tolist()
     numbers = np.stack(list(columns.values()), axis=2).tolist()
     return {
@@ -140,7 +116,7 @@ def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
     }
 
 
-class EndedFrames:
+class EndedFrames(Saved):
     """Groups, attention and forecasts for rows with identities, reported when a frame has ended.
 
     A frame ends with the next time. A row out of sequence changes no frame that has ended; it changes people
@@ -152,6 +128,11 @@ class EndedFrames:
     forecaster : of the people; None: no forecasts
     ahead : (A,) seconds of the forecasts
     """
+
+    _saved: ClassVar = {
+        **{"_t": float, "_frame": int, "_is_open": bool, "_behaviour": Saved, "_forecaster": Saved},
+        **dict.fromkeys(("_people", "_observed"), dict[int, tuple[float, ...]]),
+    }
 
     def __init__(
         self,
@@ -205,30 +186,6 @@ class EndedFrames:
             | ({"forecast": ahead[one]} if one in ahead else {})
             for one in known
         ]
-
-    def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `restore`."""
-        return {
-            "t": None if math.isinf(self._t) else self._t,
-            "frame": self._frame,
-            "is_open": self._is_open,
-            "people": [[one, to_text(np.array(numbers))] for one, numbers in self._people.items()],
-            "seen": [[one, to_text(np.array(numbers))] for one, numbers in self._observed.items()],
-            BEHAVIOUR: None if self._behaviour is None else self._behaviour.state(),
-            "forecaster": None if self._forecaster is None else pack_tree(self._forecaster.state()),
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Set the state, for the same selection; the forecaster is the caller's."""
-        self._t = -math.inf if state["t"] is None else real(state["t"])
-        self._frame = integer(state["frame"])
-        if type(state["is_open"]) is not bool:
-            raise TypeError(f"{state['is_open']!r} in place of true or false")
-        self._is_open = state["is_open"]
-        self._people, self._observed = (
-            {integer(one): tuple(from_text(saved).tolist()) for one, saved in state[name]}
-            for name in ("people", "seen")
-        )
 
 
 @dataclass(frozen=True)
@@ -399,8 +356,10 @@ ONE = ""
 Name = str | int
 
 
-class Frame:
+class Frame(Saved):
     """A stream: its tracker, its groups and attention, and the current frame."""
+
+    _saved: ClassVar = {"tracker": Saved, "behaviour": Saved, "t": float | None, "number": int | None}
 
     def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
         self.tracker, self.behaviour = tracker, behaviour
@@ -409,19 +368,13 @@ class Frame:
         self.observations: list[Observation] = []
 
     def state(self) -> dict[str, Any]:
-        """Return the state as JSON-able data; see `restore`."""
-        waiting = [pack_observation(one) for one in self.observations]
-        found = {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
-        return found if self.behaviour is None else {**found, BEHAVIOUR: self.behaviour.state()}
+        """Return the state to continue from, as JSON-able data."""
+        return super().state() | {"seen": [pack_observation(one) for one in self.observations]}
 
-    @classmethod
-    def restore(cls, state: dict[str, Any], tracker: OnlineTracker, asked: Asked | None = None) -> Frame:
-        """Restore a stream from `state`, for the same selection."""
-        frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
-        frame.t = None if state["t"] is None else real(state["t"])
-        frame.number = None if state["number"] is None else integer(state["number"])
-        frame.observations = [unpack_observation(one) for one in state["seen"]]
-        return frame
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`."""
+        super().restore(state)
+        self.observations = [unpack_observation(one) for one in state["seen"]]
 
 
 class Scenes(Answering):

@@ -29,10 +29,8 @@ from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.model.terms.walls import StaysInside
-from graphtrack.saved import unpack_tree
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
-    BEHAVIOUR,
     FRAMES,
     Asked,
     EndedFrames,
@@ -105,32 +103,27 @@ class Answers:
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
             note,
-            self._frames(None, None if self.horizon is None else Forecaster(walkable=self.walkable)),
+            self._frames(),
             self.bounds,
             Conversations(self.model) if self.model.has_groups else None,
         )
 
-    def _frames(self, saved: Any, forecaster: Forecaster | None) -> EndedFrames | None:
-        """Return groups, attention and forecasts of frames, from a state if there is one; None: none."""
+    def _frames(self) -> EndedFrames | None:
+        """Return groups, attention and forecasts of frames; None: none."""
         if self.asked is None and self.horizon is None:
             return None
-        behaviour = None
-        if self.asked is not None:
-            new = SceneBehaviour(self.asked)
-            behaviour = new if saved is None else SceneBehaviour.restore(saved[BEHAVIOUR], self.asked)
+        forecaster = None if self.horizon is None else Forecaster(walkable=self.walkable)
         ahead = np.empty(0) if self.horizon is None else times_ahead(*self.horizon)
-        frames = EndedFrames(behaviour, forecaster, ahead)
-        if saved is not None:
-            frames.restore(saved)
-        return frames
+        return EndedFrames(self._behaviour(), forecaster, ahead)
+
+    def _behaviour(self) -> SceneBehaviour | None:
+        return None if self.asked is None else SceneBehaviour(self.asked)
 
     def restored_person(self, key: Any, saved: Any) -> Any:
         """Restore a member of `people` from its state."""
-        if (self.asked is not None or self.horizon is not None) and key == FRAMES:
-            state = None if self.horizon is None else unpack_tree(saved["forecaster"])
-            return self._frames(
-                saved, None if state is None else Forecaster.from_state(state, walkable=self.walkable)
-            )
+        if key == FRAMES and (frames := self._frames()) is not None:
+            frames.restore(saved)
+            return frames
         if self.model.has_groups and key == CONVERSATIONS:
             return Conversations.from_state(saved, self.model)
         if type(key) is not int:
@@ -144,8 +137,7 @@ class Answers:
 
     def restored_scene(self, key: Any, saved: Any) -> Frame:
         """Restore a member of `scenes` from its state."""
-        tracker = OnlineTracker.from_state(saved["tracker"], self.model, **self._options)
-        return Frame.restore(saved, tracker, self.asked)
+        return Frame.from_state(saved, OnlineTracker(self.model, **self._options), self._behaviour())
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that the answers depend on, as JSON-able data."""

@@ -19,6 +19,9 @@ from graphtrack.tracks.validation import LARGEST_FRAME, is_number
 LONGEST_FILLED = 60.0
 """Seconds of the longest gap that is filled: in a longer one the posterior is uninformative."""
 
+LONGEST_BETWEEN = 1.0
+"""Seconds between two sightings up to which positions between them are interpolated."""
+
 _MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
 
 _SAME_TIME = 1e-6  # seconds within which two times are equal
@@ -134,3 +137,24 @@ def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
         inputs[name] = np.full((len(frame), *values.shape[1:]), np.nan)
         inputs[name][place] = values
     return Track(track.track_id, frame, label=track.label, inputs=inputs, **channels)
+
+
+def positions_at(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the positions (..., 2) of a person at some times, interpolated between two close sightings.
+
+    Parameters
+    ----------
+    t, position : (n,) seconds, and (n, 2) metres, NaN where unknown
+    at : (...,) seconds; NaN is returned where no two sightings up to `LONGEST_BETWEEN` apart lie around
+    """
+    known = np.isfinite(position).all(axis=1)
+    if known.sum() < 2:
+        return np.full((*at.shape, 2), np.nan)
+    t, position = t[known], position[known]
+    after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
+    apart = t[after] - t[after - 1]
+    share = (at - t[after - 1]) / apart
+    inside = (share > -1e-6) & (share < 1.0 + 1e-4)
+    inside &= (apart <= LONGEST_BETWEEN) | (np.abs(share - 1.0) < 1e-4) | (np.abs(share) < 1e-4)
+    found = position[after - 1] + share[..., None] * (position[after] - position[after - 1])
+    return np.where(inside[..., None], found, np.nan)

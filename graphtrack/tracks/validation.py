@@ -226,6 +226,13 @@ def check_numbers(parameters: Any) -> None:
 Parameters = TypeVar("Parameters")
 
 
+def with_clipped(parameters: Parameters, values: Mapping[str, float]) -> Parameters:
+    """Return a dataclass of parameters with some values, each clipped to the parameter's range."""
+    ranges = {one.name: one.metadata["range"] for one in fields(parameters)}  # type: ignore[arg-type]
+    clipped = {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
+    return replace(parameters, **clipped)  # type: ignore[type-var]
+
+
 def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
     """Return a dataclass of parameters updated by the values of a file's table."""
     if not isinstance(values, Mapping):

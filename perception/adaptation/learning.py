@@ -59,23 +59,16 @@ def _evenly(n: int, most: int) -> NDArray[np.int64]:
 _SMOOTHNESS = 12.0  # cost in log ratio of a step of one head height along a track
 
 
-@dataclass(frozen=True)
-class AdaptationParameters:
-    """Parameters of a camera's learning.
-
-    Attributes
-    ----------
-    least_people : least number of walking people
-    most_of_person, most : largest number of training boxes per person, and in all
-    first_heads : boxes for the initial search of heads with the package's localiser
-    rounds : of locating heads and fitting templates
-    """
-
-    least_people: int = 5
-    most_of_person: int = 60
-    most: int = 4000
-    first_heads: int = 500
-    rounds: int = 2
+LEAST_PEOPLE = 5
+"""Least number of walking people."""
+MOST_OF_PERSON, MOST = 60, 4000
+"""Largest number of training boxes per person, and in all."""
+FIRST_HEADS = 500
+"""Boxes for the initial search of heads with the package's localiser."""
+ROUNDS = 2
+"""Rounds of locating heads and fitting templates."""
+STAGES = 2 + ROUNDS
+"""Number of steps that `learn` reports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +103,7 @@ class TooFewWalkers(InputError):
     """Error: a recording with too few walking people to fit models."""
 
 
-def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
+def thinned(labels: WalkingLabels) -> WalkingLabels:
     """Choose training labels, evenly over each person's.
 
     Raises
@@ -119,12 +112,12 @@ def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingL
         If too few people are walking.
     """
     people = np.unique(labels.person)
-    if len(people) < parameters.least_people:
+    if len(people) < LEAST_PEOPLE:
         raise TooFewWalkers(
             f"{len(people)} walking people, in {labels.tracks} tracks",
-            f"at least {parameters.least_people}: models are fitted to walking people",
+            f"at least {LEAST_PEOPLE}: models are fitted to walking people",
         )
-    each = min(parameters.most_of_person, max(1, parameters.most // len(people)))
+    each = min(MOST_OF_PERSON, max(1, MOST // len(people)))
     kept, count = [], []
     for one in people.tolist():
         rows = np.flatnonzero(labels.person == one)
@@ -141,7 +134,6 @@ def learn(
     size: tuple[int, int],
     package: PackageModels,
     rng: np.random.Generator,
-    parameters: AdaptationParameters = AdaptationParameters(),
     advance: Callable[[int], None] = lambda count: None,
 ) -> CameraModels:
     """Fit the models of a camera to walking people.
@@ -153,11 +145,11 @@ def learn(
     length : of the recording, in seconds
     size : columns and rows of its frames
     package : initial models
-    advance : called after each of the `stages`
+    advance : called after each of the `STAGES`
     """
     angle = labels.angle
     fold = folds_of(labels.person, rng)
-    some = _evenly(len(patches), parameters.first_heads)
+    some = _evenly(len(patches), FIRST_HEADS)
     given_some = [patches[k] for k in some.tolist()]
     located = [package.head_localiser.locate(crop_of(patch)) for patch in given_some]
     first = np.array([head_of_crop(found.boxes[0]) for found in located])
@@ -168,7 +160,7 @@ def learn(
     figures |= _figures(given, labels, "_boxes_as_given")
     best, templates, known = given, None, first
     advance(1)
-    for _ in range(parameters.rounds):
+    for _ in range(ROUNDS):
         samples = HeadSamples.of(given_some, known, angle[some], rng)
         heads = _placed(patches, samples, fold[some], labels, fold)
         tried = _attempt(patches, heads, labels, fold)
@@ -179,11 +171,6 @@ def learn(
     figures |= _figures(best, labels, "")
     card = _card(labels, length, best, figures, aligned=templates is not None)
     return CameraModels(templates, place, best.models["body"], best.models["head"], size, card)
-
-
-def stages(parameters: AdaptationParameters) -> int:
-    """Return the number of steps that `learn` reports."""
-    return 2 + parameters.rounds
 
 
 def _placed(
@@ -323,7 +310,6 @@ def adapted(
     rng: np.random.Generator,
     progress: Progress,
     refuse: Callable[[str], object],
-    parameters: AdaptationParameters = AdaptationParameters(),
 ) -> Adapted:
     """Fit models of body and head orientation to a camera, from walking people.
 
@@ -347,7 +333,7 @@ def adapted(
     view = LeaningView.of(camera, size)
     walking = [_labels(one, camera, view, progress, refuse) for one in recordings if one.people]
     used = [one for one in recordings if one.people]
-    labels = thinned(joined(walking), parameters)
+    labels = thinned(joined(walking))
     taken, parts, length = [], [], 0.0
     recording = np.searchsorted(_ends(walking), labels.person, side="right")
     for number, one in enumerate(used):
@@ -367,10 +353,10 @@ def adapted(
         length += float(np.diff(seconds([min(numbers), max(numbers) + 1], one.clock))[0])
     order = np.concatenate(parts)
     left = labels.taken(order)
-    kept = thinned(replace(left, box=np.arange(len(left))), parameters)
+    kept = thinned(replace(left, box=np.arange(len(left))))
     patches = [taken[k] for k in kept.box.tolist()]
-    with progress(stages(parameters), "rounds") as advance:
-        models = learn(patches, kept, length, size, package, rng, parameters, advance)
+    with progress(STAGES, "rounds") as advance:
+        models = learn(patches, kept, length, size, package, rng, advance)
     models.upright = view is not None
     return Adapted(models, labels)
 

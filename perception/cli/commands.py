@@ -8,7 +8,7 @@ from perception.cli.evaluate import evaluate
 from perception.cli.follow import follow
 from perception.cli.observe import observe
 from perception.cli.report import report
-from perception.cli.train import card, sheet, simulate, train
+from perception.cli.train import card, simulate, train
 
 app = program_of(
     "perception",
@@ -23,6 +23,5 @@ app = program_of(
         "train": train,
         "evaluate": evaluate,
         "card": card,
-        "contact-sheet": sheet,
     },
 )

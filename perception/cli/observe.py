@@ -35,14 +35,16 @@ from perception.cli.searching import (
     OwnNetworks,
     PeopleSearch,
     find_keypoints,
+    ground_search,
     look_at_people,
     search_journals,
 )
 from perception.storage import key_of
 
 if TYPE_CHECKING:
-    from perception.detection.boxes import PersonBox
+    from perception.detection.boxes import Detector, PersonBox
     from perception.images.frames import FrameSource
+    from perception.images.pixels import Image
     from perception.observe.live import LiveObserver
     from perception.observe.pipeline import FrameObservation, Models
     from perception.observe.tables import ObservedTracks
@@ -290,22 +292,36 @@ def _stream(
 ) -> None:
     """Write the rows of each frame as soon as it is observed; report skipped input at the end."""
     from graphtrack.streaming.session import give
-    from perception.observe.live import (
-        boxes_of_keypoints,
-        boxes_with_keypoints,
-        detected_boxes,
-        given_boxes,
-        observe_live,
-    )
+    from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
+    from perception.detection.hog import PeopleDetector
+    from perception.detection.rescoring import GroundDetector, PersonProbability
 
-    if boxes is None and networks.makes_boxes:
-        find = boxes_of_keypoints(networks.look)
-    else:
-        find = detected_boxes(observer.camera, networks.detector) if boxes is None else given_boxes(boxes)
-        if networks.has_keypoints:
-            find = boxes_with_keypoints(find, networks.look)
-    for row in observe_live(frames.where(lambda number: True), find, observer, refused.setdefault):
-        give(row)
+    given, camera = boxes_by_frame(boxes or ()), observer.camera
+    detector: Detector | None = networks.detector
+    if detector is None and camera is None:
+        detector = PeopleDetector()
+
+    def people_in(number: int, image: Image) -> list[PersonBox]:
+        nonlocal detector
+        looked = {number: networks.look(number, image)} if networks.has_keypoints else None
+        if boxes is None and looked is not None and networks.makes_boxes:
+            return boxes_of(looked)
+        people = given.get(number, [])
+        if boxes is None:
+            if detector is None and camera is not None:
+                probability = PersonProbability.of_package(foreground=False)
+                detector = GroundDetector(ground_search(camera, image), probability)
+            assert detector is not None
+            people = boxes_of({number: detector.detect(image)})
+        return people if looked is None else with_keypoints(people, looked)
+
+    for frame in frames:
+        if frame.image is None:
+            refused.setdefault(frame.reason)
+            continue
+        people = people_in(frame.number, frame.image)
+        for row in observer.rows(frame.image, frame.number, people, refused.setdefault):
+            give(row)
     print_skipped(refused)
     print_camera_note(observer.camera)
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from perception.detection.boxes import Detections, Detector, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
-    from perception.detection.yolo import NetworkParameters, YoloNetwork
+    from perception.detection.yolo import YoloNetwork
     from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
@@ -108,30 +108,27 @@ class NetworkOptions:
             if getattr(self, name) is not None and self.detector is None and pose_file is None:
                 expected = "--detector, or --keypoints with a network (.onnx)"
                 raise InputError(f"{options.option_name(name)} without a network", expected)
-        parameters = self._parameters()
+        settings: dict[str, Any] = {"size": self._size(), "person": self.person_class}
+        if self.least_score is not None:
+            settings["least"] = self.least_score
 
         def network(path: Path | None, pose: bool) -> YoloNetwork | None:
-            return None if path is None else YoloNetwork(path, pose=pose, parameters=parameters)
+            return None if path is None else YoloNetwork(path, pose=pose, **settings)
 
         known = None
         if points is not None and pose_file is None:
             known = read_keypoints(points, frames.frame_of)
-        asked = (stamp_of(self.detector), stamp_of(pose_file), parameters, points is not None)
+        asked = (stamp_of(self.detector), stamp_of(pose_file), settings, points is not None)
         return OwnNetworks(network(self.detector, False), network(pose_file, True), known, asked)
 
-    def _parameters(self) -> NetworkParameters:
-        from perception.detection.yolo import NetworkParameters
-
-        size = None
-        if self.input_size is not None:
-            sides = re.fullmatch(r"(\d{2,4})(?:[x×](\d{2,4}))?", self.input_size)
-            if sides is None:
-                expected = "columns, or columns x rows, such as 1280x736"
-                raise InputError(f"--input-size {self.input_size}", expected)
-            size = (int(sides[1]), int(sides[2] or sides[1]))
-        if self.least_score is None:
-            return NetworkParameters(size, self.person_class)
-        return NetworkParameters(size, self.person_class, self.least_score)
+    def _size(self) -> tuple[int, int] | None:
+        if self.input_size is None:
+            return None
+        sides = re.fullmatch(r"(\d{2,4})(?:[x×](\d{2,4}))?", self.input_size)
+        if sides is None:
+            expected = "columns, or columns x rows, such as 1280x736"
+            raise InputError(f"--input-size {self.input_size}", expected)
+        return int(sides[1]), int(sides[2] or sides[1])
 
 
 Refuse = Callable[[str], object]

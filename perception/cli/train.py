@@ -1,4 +1,4 @@
-"""`perception simulate`, `train`, `card` and `contact-sheet`: rendered people, and models trained on them."""
+"""`perception simulate`, `train` and `card`: rendered people, and models trained on them."""
 
 from __future__ import annotations
 
@@ -137,37 +137,3 @@ def card(
     from perception.storage import load_model
 
     print(printable(load_model(model_path(model) if model in NAMES else model)[0].text()))
-
-
-def sheet(
-    output: options.OutputPath,
-    size: Annotated[int, typer.Option(min=8, max=96)] = 32,
-    rows: Annotated[int, typer.Option(min=1, max=40)] = 6,
-    seed: options.Seed = 0,
-) -> None:
-    """Draw rendered heads at twelve pans, for visual inspection.
-
-    Parameters
-    ----------
-    output : Picture to write (.png).
-    size : Height of a head in pixels.
-    rows : Heads at each of twelve pans.
-    """
-    import cv2
-    import numpy as np
-
-    from graphtrack.io import atomic_path
-    from perception.synthetic import HeadVariation, contact_sheet, make_heads
-
-    options.check_outputs({"--output": output})
-    pans = np.arange(-180, 180, 30)
-    heads = make_heads(
-        12 * rows,
-        np.random.default_rng(seed),
-        HeadVariation(size=(size, size)),
-        pan=np.tile(np.deg2rad(pans), rows),
-    )
-    picture = contact_sheet(heads.images, 12, titles=[f"{pan}" for pan in pans])
-    with atomic_path(output) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    emit(f"wrote {output}")

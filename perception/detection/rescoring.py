@@ -380,12 +380,6 @@ class GroundDetector:
     probability: PersonProbability
     background: Background | None = None
 
-    @classmethod
-    def of_frame(cls, camera: GroundCamera, image: Image) -> GroundDetector:
-        """Return a detector from the camera alone, for images of this size."""
-        size = image.shape[1], image.shape[0]
-        return cls(GroundSearch(camera, size), PersonProbability.of_package(foreground=False))
-
     def detect(self, image: Image) -> Detections:
         """Return people with their probabilities, best first."""
         return self.chosen(self.search.candidates(image, self.background))

@@ -203,24 +203,7 @@ def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
 
 _MOST = 1000  # detections, best first, that enter non-maximum suppression
 _SMALLEST, _LARGEST = 32, 8192
-
-
-@dataclass(frozen=True)
-class NetworkParameters:
-    """Options of a network.
-
-    Attributes
-    ----------
-    size : columns and rows of the input, if the file leaves them open
-    person : name or number of the class; None: "person", or the first
-    least : least score of reported people
-    overlap : intersection over union above which the weaker of two boxes is dropped
-    """
-
-    size: tuple[int, int] | None = None
-    person: str | None = None
-    least: float = 0.25
-    overlap: float = 0.6
+_OVERLAP = 0.6  # intersection over union above which the weaker of two boxes is dropped
 
 
 class YoloNetwork:
@@ -230,7 +213,9 @@ class YoloNetwork:
     ----------
     path : the ONNX file
     pose : whether keypoints are wanted
-    parameters : options that the file leaves open
+    size : columns and rows of the input, if the file leaves them open
+    person : name or number of the class; None: "person", or the first
+    least : least score of reported people
 
     Raises
     ------
@@ -239,9 +224,15 @@ class YoloNetwork:
     """
 
     def __init__(
-        self, path: str | Path, *, pose: bool = False, parameters: NetworkParameters = NetworkParameters()
+        self,
+        path: str | Path,
+        *,
+        pose: bool = False,
+        size: tuple[int, int] | None = None,
+        person: str | None = None,
+        least: float = 0.25,
     ) -> None:
-        self.parameters, self.path = parameters, str(path)
+        self.path, self.least = str(path), least
         runtime = package("onnxruntime", "networks")
         options = runtime.SessionOptions()
         options.log_severity_level = 4  # errors are raised, not printed
@@ -255,8 +246,8 @@ class YoloNetwork:
         wanted = ("pose",) if pose else ("detect", "pose")
         if task is not None and task not in wanted:
             raise InputError(f"a network for the task {task!r}", " or ".join(wanted), path=path)
-        self.size = _input_size(self._session.get_inputs(), notes, parameters.size, self.path)
-        self.person = _person(names, parameters.person, self.path)
+        self.size = _input_size(self._session.get_inputs(), notes, size, self.path)
+        self.person = _person(names, person, self.path)
         blank = np.full((self.size[1], self.size[0], 3), 114, np.uint8)
         outputs = self._run(Letterbox(self.size, self.size).applied(blank))
         # The first output of three dimensions: YOLOv5 also returns its cells, and others return masks.
@@ -284,17 +275,16 @@ class YoloNetwork:
 
     def detect(self, image: Image) -> Detections:
         """Return the people of an image (h, w, 3) uint8, best first."""
-        p = self.parameters
         box = Letterbox((image.shape[1], image.shape[0]), self.size)
         output = self._run(box.applied(image))[self._output]
-        corners, scores, points = self.layout.decoded(output, self.person, p.least)
+        corners, scores, points = self.layout.decoded(output, self.person, self.least)
         order = np.argsort(-scores, kind="stable")[:_MOST]
         ends = np.clip(box.back(corners[order].reshape(-1, 2, 2)), 0.0, box.image)
         boxes = np.hstack([ends[:, 0], ends[:, 1] - ends[:, 0]])
         good = (boxes[:, 2:] >= 1.0).all(axis=1)
         order, boxes = order[good], boxes[good]
         if self.layout.kind != "selected" and len(boxes):
-            kept = non_maximum_suppression(boxes, scores[order], p.overlap)
+            kept = non_maximum_suppression(boxes, scores[order], _OVERLAP)
             order, boxes = order[kept], boxes[kept]
         if points is not None:
             points = points[order]

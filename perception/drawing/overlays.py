@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -117,19 +117,6 @@ def likely(distribution: FloatArray) -> NDArray[np.bool_]:
     return chosen
 
 
-class DrawnDirection(Protocol):
-    """Direction with its uncertainty, to be drawn in a plane."""
-
-    @property
-    def likeliest(self) -> float:
-        """Likeliest direction, radians."""
-        ...
-
-    def shade(self, picture: Image, place: Place, colour: Colour) -> None:
-        """Draw sectors of the directions with 95 % of the probability, if the plane is visible."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Likelihoods:
     """Distribution (n_pan,) over the pans of classes; the `likely` ones are shaded by likelihood."""
@@ -166,6 +153,10 @@ class Interval:
         edge = _sector(picture, place, (self.likeliest, half), colour, float(np.exp(-half)), _REACH)
         if edge is not None:
             cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
+
+
+DrawnDirection = Likelihoods | Interval
+"""Direction with its uncertainty, to be drawn in a plane."""
 
 
 def _sector(

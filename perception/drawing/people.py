@@ -153,12 +153,6 @@ def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClas
     return np.asarray(np.hstack([shown, panel]), np.uint8)
 
 
-def mean_pan(estimate: BoxEstimate, pan_classes: PoseClasses) -> float:
-    """Return the circular mean (radians, image frame) of the tracker's distribution of the pan."""
-    assert estimate.pan is not None
-    return float(pan_classes.mean_of(estimate.pan))
-
-
 def _particles(shown: Image, estimate: BoxEstimate, factor: int) -> None:
     """Draw the middles of the particles, with size by weight."""
     centres = estimate.particles[:, :2] + estimate.particles[:, 2:] / 2.0
@@ -185,25 +179,24 @@ def _pointer(shown: Image, estimate: BoxEstimate, pan_classes: PoseClasses, fact
         return np.asarray(estimate.centre * factor + length * offset[:, ::-1], float)
 
     Likelihoods(estimate.pan, pan_classes).shade(shown, place, _PAN)
-    overlays.arrow(shown, place, mean_pan(estimate, pan_classes), _PAN, 2)
+    overlays.arrow(shown, place, float(pan_classes.mean_of(estimate.pan)), _PAN, 2)
 
 
 def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClasses | None) -> None:
-    cv2.putText(panel, f"frame {number}", (10, 22), FONT, 0.5, _TEXT, 1, cv2.LINE_AA)
-    row = 34
+    """Write frame, pan and tilt, and draw a bar for the confidence and each cue."""
+    lines = [f"frame {number}"]
+    if estimate.pan is not None and pan_classes is not None:
+        lines.append(f"pan {np.rad2deg(pan_classes.mean_of(estimate.pan)):+.0f} deg")
+    if estimate.tilt is not None:
+        lines.append(f"tilt {np.rad2deg(estimate.tilt):+.0f} deg")
+    for k, line in enumerate(lines):
+        cv2.putText(panel, line, (10, 22 + _ROW * k), FONT, 0.5, _TEXT, 1, cv2.LINE_AA)
     bars = {"confidence": estimate.confidence, **estimate.cues}
     # Cues are in 0…1; larger values, such as reliabilities, are drawn relative to the largest.
     greatest = max(1.0, *(value for value in bars.values() if np.isfinite(value)))
-    for name, value in bars.items():
-        if row + _ROW > len(panel):
-            return
+    rows = range(10 + _ROW * len(lines), len(panel) - _ROW, _ROW)
+    for row, (name, value) in zip(rows, bars.items(), strict=False):
         _bar(panel, row, name, value, greatest if name.startswith("reliability") else 1.0)
-        row += _ROW
-    if estimate.pan is not None and pan_classes is not None and row + 150 <= len(panel):
-        _clock(panel, (_PANEL_WIDTH // 2, row + 85), estimate, pan_classes)
-        row += 160
-    if estimate.tilt is not None and row + 120 <= len(panel):
-        _level(panel, (_PANEL_WIDTH // 2 - 24, row + 68), estimate.tilt)
 
 
 def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
@@ -216,32 +209,3 @@ def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
     cv2.putText(panel, text, (10, row + 12), FONT, 0.4 * min(1.0, width / length), _TEXT, 1, cv2.LINE_AA)
     cv2.rectangle(panel, (10, row + 16), (10 + width, row + 20), _TRACK, -1)
     cv2.rectangle(panel, (10, row + 16), (10 + round(share * width), row + 20), _PARTICLE, -1)
-
-
-def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_classes: PoseClasses) -> None:
-    """Draw the distribution of the pan around a circle, 0 below and +90° right, and a hand at its mean."""
-    assert estimate.pan is not None
-    centre, radius = np.array(middle), 48.0
-    cv2.circle(panel, middle, round(radius), _TRACK, 1, cv2.LINE_AA)
-    highest = max(float(estimate.pan.max()), 1e-300)
-    for pan, p in zip(pan_classes.pan.tolist(), (estimate.pan / highest).tolist(), strict=True):
-        out = np.array([np.sin(pan), np.cos(pan)])
-        ends = [centre + r * out for r in (radius, radius + 1.0 + 18.0 * p)]
-        points = [tuple(int(value) for value in end.round()) for end in ends]
-        cv2.line(panel, points[0], points[1], _PARTICLE, 3, cv2.LINE_AA)
-    pan = mean_pan(estimate, pan_classes)
-    tip = centre + 0.85 * radius * np.array([np.sin(pan), np.cos(pan)])
-    cv2.arrowedLine(panel, middle, tuple(int(value) for value in tip.round()), _PAN, 2, cv2.LINE_AA)
-    text = f"pan {round(float(np.rad2deg(pan))):+d} deg"
-    cv2.putText(panel, text, (middle[0] - 42, middle[1] - 72), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
-
-
-def _level(panel: Image, middle: tuple[int, int], tilt: float) -> None:
-    """Draw the tilt from the side: level to the right, with the hand above it for a raised head."""
-    radius = 48
-    cv2.ellipse(panel, middle, (radius, radius), 0, -90, 90, _TRACK, 1, cv2.LINE_AA)
-    cv2.line(panel, middle, (middle[0] + radius, middle[1]), _TRACK, 1, cv2.LINE_AA)
-    tip = (round(middle[0] + 0.85 * radius * np.cos(tilt)), round(middle[1] - 0.85 * radius * np.sin(tilt)))
-    cv2.arrowedLine(panel, middle, tip, _PAN, 2, cv2.LINE_AA)
-    text = f"tilt {round(float(np.rad2deg(tilt))):+d} deg"
-    cv2.putText(panel, text, (middle[0] - 18, middle[1] - 54), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)

@@ -28,7 +28,6 @@ from graphtrack.tracks.track import Track, TrackSet
 from perception.adaptation.directions import CLASSES, folds_of, with_outliers
 from perception.adaptation.labels import descriptors_of_people, patches_in, walking_labels
 from perception.adaptation.learning import (
-    AdaptationParameters,
     PackageModels,
     Recording,
     adapted,
@@ -218,10 +217,9 @@ def observed_by_other_people(
     people_observed: list[PersonObservation] = []
     shares: list[float] = []
     for part in range(PARTS):
-        parameters = AdaptationParameters()
-        rest = thinned(labels.taken(np.flatnonzero(fold != part)), parameters)
+        rest = thinned(labels.taken(np.flatnonzero(fold != part)))
         patches = [found[k] for k in rest.box.tolist()]
-        models = learn(patches, rest, seconds, frames.size(), package, rng, parameters)
+        models = learn(patches, rest, seconds, frames.size(), package, rng)
         rows = [k for k in np.flatnonzero(usable & (part_of == part)).tolist() if k in found]
         answered = models.look_at([found[k] for k in rows], [people[k].box for k in rows])
         for k, one in zip(rows, answered, strict=True):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
-from graphtrack.experiments.chen_joint import ANGLES, WITH_FULL, Scores, most_likely_error
-from graphtrack.experiments.harness import Cell
-from graphtrack.geometry.angles import FloatArray, mean_absolute_error
+from graphtrack.experiments.chen_joint import (
+    ANGLES,
+    WITH_FULL,
+    Scores,
+    by_angle,
+    errors_of,
+    most_likely_error,
+)
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
@@ -164,61 +170,21 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     return found
 
 
-def joint_scores(
-    data: str, people: Iterable[ObservedPerson], progress: Callable[[int], object] = lambda count: None
-) -> Scores:
+def joint_scores(data: str, people: Sequence[ObservedPerson]) -> Scores:
     """Return mean errors in degrees of each person by each of `METHODS`, and of single frames."""
-    found: dict[tuple[str, str, str], list[float]] = {}
-    count = 0
-    for person in people:
-        count += 1
-        for angle in ANGLES:
-            for name, track in (("", person.causal), ("whole track", person.offline)):
-                error = most_likely_error(track, person.truth, angle)
-                found.setdefault(("observation", name, angle), []).append(error)
-        for name, method in METHODS.items():
-            for preset in method.presets:
-                errors = _errors(person, method, Model(preset))
-                for angle, error in zip(ANGLES, errors.tolist(), strict=True):
-                    found.setdefault((preset, name, angle), []).append(error)
-        progress(1)
-    return Scores(data, count, {key: np.array(values) for key, values in found.items()})
-
-
-def _errors(person: ObservedPerson, method: Method, model: Model) -> FloatArray:
-    """Return mean errors (2,) in degrees of body and head, over frames and seeds."""
-    of_seeds = []
-    for seed in range(method.seeds):
-        estimate = method.estimate(person, model, seed)
-        of_seeds.append(
-            [
-                mean_absolute_error(getattr(estimate, angle), getattr(person.truth, f"true_{angle}"))
-                for angle in ANGLES
+    found: dict[tuple[str, str, str], FloatArray] = {}
+    for name, heads in (("", "causal"), ("whole track", "offline")):
+        errors = [
+            [most_likely_error(getattr(person, heads), person.truth, angle) for angle in ANGLES]
+            for person in people
+        ]
+        found |= by_angle(("observation", name), errors)
+    for name, method in METHODS.items():
+        for preset in method.presets:
+            model = Model(preset)
+            of_seeds = [
+                [errors_of(method.estimate(person, model, seed), person.truth) for person in people]
+                for seed in range(method.seeds)
             ]
-        )
-    return np.asarray(np.degrees(np.mean(of_seeds, axis=0)), float)
-
-
-def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, Cell]]:
-    """Return mean errors in degrees of body and head over the people of clips, with standard errors.
-
-    Returns
-    -------
-    Rows for the most likely class of each frame, with causal and offline heads, then for each of `METHODS`
-    with each of its presets.
-    """
-    found = joint_scores("clips", [person for clip in clips for person in people_of(clip, models)])
-    rows: list[dict[str, Cell]] = []
-    for preset, name in dict.fromkeys(key[:2] for key in found.errors):
-        per_frame = preset == "observation"
-        row: dict[str, Cell] = {
-            "estimate": "per frame" if per_frame else name,
-            "model": ("heads of the whole track" if name else "") if per_frame else preset,
-            "group": ("offline" if name else "online") if per_frame else METHODS[name].group,
-        }
-        for angle in ANGLES:
-            errors = found.errors[preset, name, angle]
-            row[f"{angle}_deg"] = float(errors.mean())
-            row[f"{angle} ±"] = float(errors.std() / np.sqrt(len(errors)))
-        rows.append({**row, "people": found.people})
-    return rows
+            found |= by_angle((preset, name), np.mean(of_seeds, axis=0))
+    return Scores(data, len(people), found)

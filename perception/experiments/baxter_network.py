@@ -341,7 +341,7 @@ def _figure(found: Sequence[Split], people: Sequence[PersonWithHeads]) -> Figure
     for axes in grid[1:].flat:
         axes.set_axis_off()
     for axes, person in zip(grid[1:].flat, people, strict=False):
-        axes.imshow(contact_sheet(person.images[:24:3], 4)[18:, :, ::-1])
+        axes.imshow(contact_sheet(person.images[:24:3], 4)[:, :, ::-1])
         axes.set_title(f"{person.name}: {np.median(person.size):.0f} pixels", fontsize=9)
     return figure
 

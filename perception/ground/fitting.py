@@ -7,7 +7,7 @@ integrated out. Outliers (false detections, children) may have any deviation.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,14 +64,9 @@ class View:
         """Return the view as a `GroundCamera`."""
         return GroundCamera.from_calibration(self.rotation, self.translation, self.intrinsics(size))
 
-    def to_vector(self, person_height: float) -> FloatArray:
-        """(4,) logarithm of the focal length, tilt, roll, logarithm of the height in heights of a person."""
-        focal, tilt, roll, height = astuple(self)
-        return np.array([np.log(focal), tilt, roll, np.log(height / person_height)])
-
     @classmethod
     def from_vector(cls, vector: FloatArray, person_height: float) -> View:
-        """Invert `to_vector`."""
+        """Return the view of (4,) log focal length, tilt, roll, log height in heights of a person."""
         log_focal, tilt, roll, log_height = vector.tolist()
         return cls(float(np.exp(log_focal)), tilt, roll, float(np.exp(log_height)) * person_height)
 

@@ -93,26 +93,6 @@ def _is_transport_stream(head: bytes) -> bool:
     )
 
 
-def is_cut_off(path: Path) -> bool:
-    """Return True if a file is an MP4 without its index, which is usually at the end."""
-    place, length = 0, path.stat().st_size
-    with path.open("rb") as stream:
-        if stream.read(8)[4:] != b"ftyp":
-            return False
-        while place + 8 <= length:
-            stream.seek(place)
-            head = stream.read(16)
-            if head[4:8] == b"moov":
-                return False
-            size = int.from_bytes(head[:4], "big")
-            if size == 1:  # the size follows the name
-                size = int.from_bytes(head[8:16], "big")
-            if size < 8:
-                break
-            place += size
-    return True
-
-
 _UNEVEN = 0.1  # of the frame interval: largest deviation of time stamps at a constant rate
 logger = logging.getLogger("graphtrack")
 
@@ -222,9 +202,8 @@ class FrameSource:
         try:
             fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             if not video.isOpened() or not video.read()[0]:
-                intact = "a whole video (an MP4 that was cut off has lost its index)"
-                kind = intact if is_cut_off(path) else "a video"
-                raise InputError("no video that can be decoded", f"{kind} or a folder of images", path=path)
+                expected = "a whole video (an MP4 that was cut off has lost its index), or a folder of images"
+                raise InputError("no video that can be decoded", expected, path=path)
             if may_be_picture and not video.read()[0]:
                 expected = "a video, or the folder that the picture is in"
                 raise InputError("a single picture", expected, path=path)

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import Track, TrackSet, to_columns
-from perception.detection.boxes import (
-    Detections,
-    Detector,
-    PersonBox,
-    boxes_by_frame,
-    boxes_of,
-    with_keypoints,
-)
-from perception.detection.hog import PeopleDetector
-from perception.detection.rescoring import GroundDetector
-from perception.images.frames import Clock, Frame
+from perception.detection.boxes import PersonBox
+from perception.images.frames import Clock
 from perception.images.pixels import Image
 from perception.observe.pipeline import (
     FrameObservation,
@@ -33,12 +24,6 @@ from perception.observe.pipeline import (
 from perception.observe.tables import scaled_camera
 from perception.pose.features import Projection
 from perception.pose.head_detection import HeadPath
-
-Finder = Callable[[int, Image], list[PersonBox]]
-"""Returns the boxes of people in a frame, given its number and image."""
-
-Look = Callable[[int, Image], Detections]
-"""Returns the people of a frame with their keypoints, given its number and image."""
 
 
 class LiveObserver:
@@ -85,46 +70,3 @@ class LiveObserver:
         track = Track(track_id=item.track_id, **known)
         row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
         return row if self.identified else row | {"track_id": -1}
-
-
-def observe_live(
-    frames: Iterable[Frame], find: Finder, observer: LiveObserver, refuse: Callable[[str], object]
-) -> Iterator[dict[str, Any]]:
-    """Yield the rows of all frames."""
-    for frame in frames:
-        if frame.image is None:
-            refuse(frame.reason)
-        else:
-            boxes = find(frame.number, frame.image)
-            yield from observer.rows(frame.image, frame.number, boxes, refuse)
-
-
-def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
-    """Return known boxes."""
-    by_frame = boxes_by_frame(boxes)
-    return lambda frame, image: by_frame.get(frame, [])
-
-
-def boxes_with_keypoints(find: Finder, look: Look) -> Finder:
-    """Return the same boxes, with the keypoints of their people."""
-    return lambda frame, image: with_keypoints(find(frame, image), {frame: look(frame, image)})
-
-
-def boxes_of_keypoints(look: Look) -> Finder:
-    """Return the boxes of all people with keypoints."""
-    return lambda frame, image: boxes_of({frame: look(frame, image)})
-
-
-def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None) -> Finder:
-    """Detect boxes in single frames; without a detector by the package's."""
-    if detector is None and camera is None:
-        detector = PeopleDetector()
-
-    def find(frame: int, image: Image) -> list[PersonBox]:
-        nonlocal detector
-        if detector is None:
-            assert camera is not None
-            detector = GroundDetector.of_frame(camera, image)
-        return boxes_of({frame: detector.detect(image)})
-
-    return find

@@ -342,7 +342,7 @@ def estimated(
     else:
         good = []
         for track in placed:
-            good.append(chosen.estimate(track, camera))
+            good.append(chosen.run(track, camera))
             advance(len(track))
     if not good:
         raise InputError("no track that can be estimated", "people who are observed for longer")

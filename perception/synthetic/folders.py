@@ -27,33 +27,18 @@ from perception.synthetic.heads import HeadVariation, make_heads
 from perception.synthetic.pedestrians import make_pedestrians
 from perception.synthetic.skeletons import projected_keypoints
 
-_TITLE_HEIGHT = 18
 
-
-def contact_sheet(
-    images: Sequence[Image], columns: int, *, cell: tuple[int, int] = (64, 64), titles: Sequence[str] = ()
-) -> Image:
-    """Arrange crops in rows, enlarged without smoothing.
-
-    Parameters
-    ----------
-    images : arrays (h, w, 3) uint8
-    columns : crops in a row
-    cell : width and height of a cell in pixels; crops keep their proportions
-    titles : of the columns
-    """
+def contact_sheet(images: Sequence[Image], columns: int, cell: tuple[int, int] = (64, 64)) -> Image:
+    """Arrange crops (h, w, 3) in rows of cells (width, height), enlarged without smoothing."""
     width, height = cell
-    rows = -(-len(images) // columns)
-    sheet = np.zeros((_TITLE_HEIGHT + rows * height, columns * width, 3), np.uint8)
+    sheet = np.zeros((-(-len(images) // columns) * height, columns * width, 3), np.uint8)
     for k, image in enumerate(images):
         factor = min(width / image.shape[1], height / image.shape[0])
         shown = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)[
             :height, :width
         ]
-        top, left = _TITLE_HEIGHT + k // columns * height, k % columns * width
+        top, left = k // columns * height, k % columns * width
         sheet[top : top + shown.shape[0], left : left + shown.shape[1]] = shown
-    for k, title in enumerate(titles):
-        cv2.putText(sheet, title, (k * width + 4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1)
     return sheet
 
 

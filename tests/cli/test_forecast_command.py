@@ -100,13 +100,13 @@ class Killed(BaseException):
 @pytest.mark.parametrize("identities", [False, True])
 def test_a_stream_with_forecasts_goes_on_after_a_kill(monkeypatch, tmp_path, identities):
     rng, lines = np.random.default_rng(2), []
-    for f in range(36):
+    for f in range(24):
         for k in range(3):
             if rng.random() < 0.9:  # people come late, are missed, and keep forecasts busy
                 x, y = np.array([0.5 * f, 2.0 * k]) + rng.normal(0, 0.03, 2)
                 row = {"frame": f, "t": round(0.4 * f, 6), "x": round(x, 4), "y": round(y, 4)}
                 lines.append(json.dumps(row | ({"track_id": k} if identities else {})).encode())
-    stops = [n for n in range(1, len(lines)) if b'"frame": 12' in lines[n] or b'"frame": 24' in lines[n]]
+    stops = [n for n in range(1, len(lines)) if b'"frame": 8' in lines[n] or b'"frame": 16' in lines[n]]
     answers, end = [], 0
 
     def rows(stream, first):
@@ -134,7 +134,7 @@ def test_a_stream_with_forecasts_goes_on_after_a_kill(monkeypatch, tmp_path, ide
         # After a kill the answers to the last row are emitted again.
         again = [k for k in range(len(more) + 1) if found[len(found) - k :] == more[:k]]
         found += more[max(again, default=0) :]
-    assert len(stops) == 6 and found == whole
+    assert len(stops) > 3 and found == whole
 
 
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):

@@ -1,6 +1,7 @@
 """Rows in, estimates out: each row of a stream, its names and units, and rows without identities."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
+from graphtrack.model import Observation
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import Scenes, TrackAnswers
-from graphtrack.streaming.protocol import LONGEST_LINE, StreamNames, with_first_row
+from graphtrack.streaming.protocol import LONGEST_LINE, StreamNames, estimate_row, with_first_row
 from graphtrack.streaming.session import lines_of
 from graphtrack.tracks.scene import SceneParameters
 
@@ -45,6 +47,15 @@ def test_interleaved_people_do_not_touch_each_other():
     for track_id in (1, 2):
         alone = answers(TrackAnswers(smoother, 10.0), walker(track_id))
         assert [one for one in found if one["track_id"] == track_id] == alone
+
+
+def test_a_row_has_the_standard_deviations_of_its_covariance_and_null_for_what_is_unknown():
+    seen = smoother().update(Observation(0.0, 0, (1.0, 2.0)))
+    variance = [0.04, 0.0, np.nan, 0.09, np.radians(3.0) ** 2, np.inf]
+    found = estimate_row(7, replace(seen, covariance=np.diag(variance)))
+    names = ("x_std", "y_std", "vx_std", "vy_std", "body_std_deg", "head_std_deg")
+    assert [found[name] for name in names] == [0.2, 0.0, None, 0.3, pytest.approx(3.0), None]
+    assert found["track_id"] == 7
 
 
 def test_every_row_is_told_what_became_of_it():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,24 +18,19 @@ from graphtrack.simulation.sampling import simulate
 from graphtrack.simulation.scenario import scenario
 
 
-@dataclass(frozen=True)
-class Echo:
+def echo(name: str = "echo", fails: tuple[int, ...] = (), gaps: tuple[int, ...] = ()) -> Method:
     """A method that returns its input; it fails on some tracks."""
 
-    name: str = "echo"
-    online: bool = True
-    information: str = "positions; the present only"
-    fails: tuple[int, ...] = ()
-    gaps: tuple[int, ...] = ()
-
-    def estimate(self, track: Track, camera: object) -> Track:
+    def run(track: Track, camera: object) -> Track:
         assert track.true_position is None and track.true_body is None and track.true_head is None
-        if track.track_id in self.fails:
+        if track.track_id in fails:
             raise SolveError(track.track_id, "no mood for it")
         position = track.position.copy()
-        if track.track_id in self.gaps:
+        if track.track_id in gaps:
             position[5] = np.nan
         return replace(track, position=position, body=None, head=None)
+
+    return Method(name, True, "positions; the present only", run)
 
 
 @pytest.fixture(scope="module")
@@ -137,9 +132,7 @@ def test_online_methods_do_not_see_the_future(tracks: TrackSet) -> None:
     changed = replace(track, position=later)
     for name in registry:
         method = make_method(name)
-        same = np.allclose(
-            method.estimate(track, None).position[:16], method.estimate(changed, None).position[:16]
-        )
+        same = np.allclose(method.run(track, None).position[:16], method.run(changed, None).position[:16])
         assert same is method.online, name
 
 
@@ -153,7 +146,7 @@ def test_inside_windows_only_the_withheld_frames_count() -> None:
         if record.method == "rts":
             window = hidden.windows[record.track_id]
             estimate, truth = (
-                rts.estimate(hidden.tracks.by_id(record.track_id), None),
+                rts.run(hidden.tracks.by_id(record.track_id), None),
                 people.by_id(record.track_id),
             )
             squares = np.sum((estimate.position - truth.true_position)[window] ** 2, axis=1)
@@ -171,7 +164,7 @@ def test_short_tracks_are_left_out_of_windows_with_their_reason(tracks: TrackSet
 
 
 def test_a_method_that_fails_is_reported_and_the_others_come_out(tracks: TrackSet) -> None:
-    found = compare(tracks, ("kf", Echo(fails=(3,), gaps=(5,))))
+    found = compare(tracks, ("kf", echo(fails=(3,), gaps=(5,))))
     assert {(f.method, f.track_id): f.failure for f in found.failures} == {
         ("echo", 3): "no mood for it",
         ("echo", 5): "no position at 1 of 50 scored frames",
@@ -179,7 +172,7 @@ def test_a_method_that_fails_is_reported_and_the_others_come_out(tracks: TrackSe
     # The tables pool the same tracks for both.
     assert value(found, "kf", "position RMSE", "n") == value(found, "echo", "position RMSE", "n") == 10
     assert "2 of 24 runs failed" in found.caption
-    hopeless = compare(tracks, ("kf", Echo(fails=tuple(range(12)))))
+    hopeless = compare(tracks, ("kf", echo(fails=tuple(range(12)))))
     assert value(hopeless, "kf", "position RMSE", "n") == 12
     assert {row["method"] for row in hopeless.rows} == {"kf"}
 
@@ -221,8 +214,8 @@ def test_a_track_without_an_observed_position_is_left_out_for_all(tracks: TrackS
 
 
 def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
-    for methods in (("nonsense",), (), ("kf", "kf"), ("kf", Echo(name="kf"))):
+    for methods in (("nonsense",), (), ("kf", "kf"), ("kf", echo(name="kf"))):
         with pytest.raises(InputError, match=r"method|kf"):
             compare(tracks, methods)
-    own: Method = Echo()
+    own = echo()
     assert make_method(own) is own

@@ -12,7 +12,8 @@ from command import ran, run
 
 import graphtrack as gt
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.evaluation.groups import FunctionMethod, average_linkage, compare_groups, registry
+from graphtrack.evaluation.groups import average_linkage, compare_groups, registry
+from graphtrack.evaluation.methods import Method
 from graphtrack.geometry.angles import direction, unit
 from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
@@ -65,7 +66,7 @@ def test_methods_are_scored_on_the_same_frames(scene: Party, labelled: Path) -> 
         rows = zip(people.frame[people.frame_of], people.ids[people.person], strict=True)
         return np.array([known[row] for row in rows])
 
-    methods = [*registry, FunctionMethod("perfect", "the truth", perfect)]
+    methods = [*registry, Method("perfect", True, "the truth", perfect)]
     found = compare_groups(scene.tracks, read_groups(labelled), methods)
     assert found.scores["perfect"].f1 == (1.0, 1.0)
     for name, online in (("groups", False), ("online", True)):
@@ -90,7 +91,7 @@ def test_wrong_methods_and_options_are_refused(scene: Party, labelled: Path, tmp
     labels = read_groups(labelled)
     with pytest.raises(InputError, match="method 'linkage'"):
         compare_groups(scene.tracks, labels, ["linkage"])
-    with pytest.raises(InputError, match="each once"):
+    with pytest.raises(InputError, match="each method once"):
         compare_groups(scene.tracks, labels, ["groups", "groups"])
     gt.write(scene.tracks, tmp_path / "party.csv")
     for wrong in (("--groups", labelled, "--fill"), ("--parameters", labelled)):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track
 
@@ -21,13 +22,13 @@ def with_loss(preset: str, robust: str, threshold: float) -> gt.Model:
     return gt.Model(preset, replace(parameters, likelihood=likelihood))
 
 
-def walker(seed: int) -> Track:
-    """A person who walks straight, observed 1.5 m off at one place for ten frames."""
+def walker(seed: int, *, stays: bool = True) -> Track:
+    """A person who walks straight, observed 1.5 m aside for ten frames, at one place or along the path."""
     rng = np.random.default_rng(seed)
     t = np.arange(75) / FPS
     path = np.column_stack([1.3 * t, np.zeros_like(t)])
     position = path + STD * rng.standard_normal(path.shape)
-    position[BEGINS:ENDS] = path[BEGINS] + (0.0, 1.5)
+    position[BEGINS:ENDS] = (path[BEGINS] if stays else path[BEGINS:ENDS]) + (0.0, 1.5)
     std = np.full(len(t), STD)
     return Track(seed, np.arange(len(t)), t, position, position_std=std, true_position=path)
 
@@ -40,6 +41,21 @@ def test_the_path_is_found_again_online_as_soon_as_it_costs_less(seed: int) -> N
     off = np.linalg.norm(estimate.position - track.true_position, axis=1)
     assert off[ENDS - 2] > 1.0  # it had been followed
     assert off[ENDS + 5 :].max() < 0.25
+
+
+@pytest.mark.parametrize("axes", [[0, 1], [1, 0]], ids=["false down the image", "false across it"])
+def test_it_is_found_again_as_soon_in_pixels_as_in_metres(axes: list[int]) -> None:
+    """A camera that looks straight down: whichever way its image lies, pixels are scaled metres."""
+    track, model = walker(0, stays=False), with_loss("separate", "cauchy", 5.0)
+    metres_per_pixel = STD / model.parameters.likelihood.pixel_std
+    homography = np.eye(3)
+    homography[:2, :2] = metres_per_pixel * np.eye(2)[axes]
+    camera = GroundCamera.from_homography(homography)
+    seen = replace(track, pixel=camera.ground_to_image(track.position), position_std=None)
+    found, expected = gt.track_online(seen, model, camera=camera), gt.track_online(track, model)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
+    off = np.linalg.norm(found.position - track.true_position, axis=1)
+    assert off[ENDS - 2] > 1.0 > 0.25 > off[ENDS + 5 :].max()
 
 
 @pytest.mark.slow

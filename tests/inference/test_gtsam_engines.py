@@ -113,6 +113,18 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
     assert np.abs(apart(found[-10:], expected[-10:])).max() < 5e-3
 
 
+def test_a_late_observation_far_back_in_a_window_is_followed_to_the_end() -> None:
+    """Farther back than steps are watched of a full history; only the oldest have far to go."""
+    track, at = walk(200, seed=3, dt=0.02), np.arange(200) == 8
+    track = replace(track, head=track.head + 3.0 * at, head_kappa=np.where(at, 500.0, 1.0))
+    seen = list(observations(track))
+    smoother = OnlineSmoother("separate", engine="isam2", lag=20.0, **CONVERGED)
+    assert [smoother.update(one).status for one in (*seen[:8], *seen[9:], seen[8])][-1] == "late"
+    found = np.array([state for _, state in smoother.history()])
+    batch = smooth_track(track, Model("separate"), options=EXACTLY).track
+    assert np.abs(apart(found, states(batch))).max() < 1e-3
+
+
 @pytest.mark.parametrize("preset", sorted(presets))
 def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str) -> None:
     """With the defaults: the error of one Gauss–Newton step each, in standard deviations."""
@@ -192,17 +204,16 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
     others_slow([("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)], [("fixed-lag", 1.0), ("isam2", 1.0)]),
 )
 def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any) -> None:
-    track = side_stepping(3.0)
-    seen = list(observations(track))
-    seen[60], seen[61] = seen[61], seen[60]
+    seen = list(observations(side_stepping()))
+    seen[40], seen[41] = seen[41], seen[40]
     options: dict[str, Any] = {"engine": engine, "lag": lag}
     smoother = OnlineSmoother("full", **options)
     whole = [smoother.update(observation) for observation in seen]
-    assert whole[61].status == "late"
+    assert whole[41].status == "late"
     smoother = OnlineSmoother("full", **options)
     for k, observation in enumerate(seen):
         found = smoother.update(observation)
-        if k in (40, 70):
+        if k in (30, 50):
             smoother = OnlineSmoother.from_state(smoother.state(), "full", **options)
     np.testing.assert_allclose(found.position, whole[-1].position, atol=1e-3)
     assert abs(difference(found.body, whole[-1].body)) < 1e-2
@@ -223,7 +234,7 @@ class Aside(Term):
 
 @GTSAM_ENGINES
 def test_a_term_without_a_kernel_pulls_beside_modes(engine: Any, lag: Any) -> None:
-    track, model = side_stepping(1.0), Model("full", terms=[Aside])
+    track, model = side_stepping(0.5), Model("full", terms=[Aside])
     with_it = [OnlineSmoother(m, engine=engine, lag=lag) for m in (model, Model("full"))]
     for seen in observations(track):
         pulled, free = (smoother.update(seen) for smoother in with_it)

@@ -140,7 +140,7 @@ def test_places_are_looked_at_the_larger_the_rather(tmp_path: Path) -> None:
     assert seconds > 2.0 and intervals == [(-0.25, 2.75)]
 
 
-def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:
+def test_the_command_writes_table_and_summary(tmp_path: Path) -> None:
     made = run(
         *("simulate", "-o", tmp_path / "party.csv", "--scene", "party", "--tracks", 5, "--steps", 30),
         *("--groups", tmp_path / "groups.csv", "--gaze", tmp_path / "looks.csv"),
@@ -150,15 +150,12 @@ def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:
     done = run(
         *("attention", tmp_path / "party.csv", "-o", tmp_path / "attention.csv"),
         *("--places", tmp_path / "places.csv", "--json", tmp_path / "looks.json"),
-        *("--pictures", tmp_path / "pictures"),
     )
     assert done.returncode == 0, done.stderr
     rows = list(csv.DictReader((tmp_path / "attention.csv").open()))
     assert list(rows[0]) == ["frame", "t", "track_id", "kind", "target", "probability"]
     summary = json.loads((tmp_path / "looks.json").read_text())
     assert np.sum(summary["seconds"]) == pytest.approx(5 * 3.0, rel=1e-3)
-    pictures = {path.stem for path in (tmp_path / "pictures").iterdir()}
-    assert pictures == {"looks", "timeline", "matrix"}
     assert sum(row["kind"] == "nothing" for row in rows) == 5 * 30
     judged = run(
         "groups", tmp_path / "party.csv", "-o", tmp_path / "g.csv", "--truth", tmp_path / "groups.csv"

@@ -186,7 +186,8 @@ def test_a_thousand_people_have_neighbours_alone() -> None:
         found = looks.update(0.04 * k, people, grouped)
     near = np.linalg.norm(where[:, None] - where, axis=2)
     assert len(found.target) == np.count_nonzero(near < 15.0) - 1000
-    assert len(groups.state()["pairs"]) == np.count_nonzero(np.triu(near <= 4.0, 1))
+    pairs = np.count_nonzero(np.triu(near <= 4.0, 1))
+    assert repr(groups) == f"OnlineGroups({pairs} pairs known)"
     total = np.add.reduceat(np.append(found.person, 0.0), found.first[:-1]) * (np.diff(found.first) > 0)
     np.testing.assert_allclose(total + found.place.sum(axis=1), 1.0)
     assert all(p >= LEAST or kind == "nothing" for told in found.by_person().values() for kind, _, p in told)

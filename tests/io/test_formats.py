@@ -17,6 +17,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import read_calibration
 from graphtrack.io.format import SIGNATURES
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file
@@ -83,11 +84,11 @@ def test_pixels_without_a_camera_are_scaled_by_the_median_person(tmp_path: Path)
     np.testing.assert_allclose(forced.by_id(1).position, forced.by_id(1).pixel * [0.5, -0.5])
 
 
-def test_point_pairs_in_centimetres_and_some_of_their_rows(tmp_path: Path) -> None:
+def test_point_pairs_make_the_camera(tmp_path: Path) -> None:
     path = sample_of("mot").write(tmp_path)
     pairs = tmp_path / "pairs.txt"
-    pairs.write_text("# u v X Y\n9 9 9 9\n0 0 0 0\n100 0 200 0\n100 100 200 -200\n0 100 0 -200 # corner\n")
-    tracks = io.read_identified(path, point_pairs=pairs, point_pairs_unit="cm", point_pairs_rows="2-5")
+    pairs.write_text("# u v X Y\n0 0 0 0\n100 0 2 0\n100 100 2 -2\n0 100 0 -2 # corner\n")
+    tracks = io.read_identified(path, point_pairs=pairs)
     np.testing.assert_allclose(tracks.by_id(1).position, tracks.by_id(1).pixel * [0.02, -0.02], atol=1e-9)
     assert any("reprojection error" in note for note in tracks.summary.notes)
 
@@ -133,7 +134,8 @@ def test_ucy_obstacles_after_the_splines_are_read_past(tmp_path: Path) -> None:
 def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None:
     path = sample_of("towncentre").write(tmp_path)
     found = io.read_identified(path)
-    forced = {scale: io.read_identified(path, image_scale=scale) for scale in (1.0, 2.0)}
+    camera = read_calibration(path.with_name("calibration.ci"))
+    forced = {s: io.read_identified(path, camera=camera.resized(1.0 / s)) for s in (1.0, 2.0)}
     assert any("doubled" in note for note in found.summary.notes)
     np.testing.assert_array_equal(found.by_id(1).position, forced[2.0].by_id(1).position)
     assert (

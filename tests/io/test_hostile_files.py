@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run
 from refusals import refused
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.interaction.tables import load_parameters
+from graphtrack.interaction.parameters import GroupParameters
 
 HEADER = "track_id,frame,t,x,y"
 ROWS = [HEADER, *(f"1,{k},{k / 10},{k / 20},0" for k in range(20))]
@@ -42,10 +43,7 @@ def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(t
 @pytest.mark.parametrize("text", [b"\n" * 2**20, b"1" * 2**20], ids=["blank", "endless"])
 def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "bomb.csv.gz"
-    with gzip.open(path, "wb") as stream:
-        stream.write(HEADER.encode() + b"\n")
-        for _ in range(300):
-            stream.write(text)
+    path.write_bytes(gzip.compress(HEADER.encode() + b"\n") + 300 * gzip.compress(text))
 
     def bounded() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))
@@ -56,7 +54,9 @@ def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) ->
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "ndjson", "ndjson.gz", "parquet", "sqlite", "txt", "nc"])
-def test_a_full_disk_is_one_error_in_every_format(tmp_path: Path, ending: str) -> None:
+def test_a_full_disk_is_one_error_in_every_format(
+    tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if ending == "nc":
         pytest.importorskip("h5netcdf")
     source, output = tmp_path / "in.csv", tmp_path / "out" / f"o.{ending}"
@@ -65,12 +65,14 @@ def test_a_full_disk_is_one_error_in_every_format(tmp_path: Path, ending: str) -
     rows = (f"1,{k},{k / 10},{value:.9f},{-value:.9f}\n" for k, value in enumerate(x))
     source.write_text(HEADER + "\n" + "".join(rows))
 
-    def full() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
-
     # Bytecode of modules that are imported here for the first time would be cut off, too.
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = command("convert", source, "-o", output, preexec_fn=full, env=environment)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
+    try:
+        done = run("convert", source, "-o", output, program="graphtrack")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert done.returncode == 2, done.stderr
     said = [line for line in done.stderr.splitlines() if str(source) not in line and "note" not in line]
     assert len(said) == 1, done.stderr
@@ -126,6 +128,6 @@ def test_half_a_surrogate_pair_is_no_text(tmp_path: Path, name: str) -> None:
 def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = " + "[" * 50_000 + "]" * 50_000)
-    for load in (gt.Model.load, gt.ForecastParameters.load, load_parameters):
+    for load in (gt.Model.load, gt.ForecastParameters.load, GroupParameters.load):
         with pytest.raises(InputError, match="brackets within brackets"):
             load(path)

@@ -208,9 +208,6 @@ def test_files_that_make_no_camera(option: str, text: str, found: str, tmp_path:
     camera.write_text("# u v X Y\n" + text)
     error = refused(path, **{option: camera})
     assert found in error.found and error.path == str(camera)
-    camera.write_text("0 0 0 0\n1 0 1 0\n1 1 1 1\n0 1 0 1\n")
-    for rows in ("0-3", "1-99", "a", "4-2", "1-2-3", "", "-"):
-        assert "point_pairs_rows" in refused(path, point_pairs=camera, point_pairs_rows=rows).found
 
 
 @pytest.mark.parametrize("sample", [s for s in SAMPLES if s.format in ("ucy", "kitti")], ids=name_of)
@@ -272,7 +269,6 @@ def test_options_that_do_not_exist_or_make_no_sense(tmp_path: Path) -> None:
     assert "1 marked to be ignored" in refused(tmp_path / "gt.txt").found
     assert "fsp" in refused(path, fsp=25).found and "fps" in refused(path, fps=0.0).found
     assert "fps" in refused(path, fps=float("nan")).found
-    assert "inch" in refused(path, point_pairs=path, point_pairs_unit="inch").found
     assert "nonsense" in refused(path, format="nonsense").found
     with pytest.raises(InputError):
         io.read_identified([])

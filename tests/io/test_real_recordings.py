@@ -9,11 +9,10 @@ import pytest
 
 from graphtrack import io
 from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.formats.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
 from graphtrack.io.source import Source
 from graphtrack.tracks.track import TrackSet
-
-CORRIDOR = {"point_pairs_unit": "cm", "point_pairs_rows": "5-8"}
 
 
 def speeds(tracks: TrackSet, seconds: float) -> np.ndarray:
@@ -103,9 +102,9 @@ def test_people_face_where_they_walk(
 
 def test_the_corridor_through_its_point_pairs(data_dir: Path) -> None:
     folder = data_dir / "caviar/corridor"
-    tracks = io.read_identified(
-        folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR
-    )
+    pairs = np.loadtxt(folder / "homography_points.txt", delimiter=None)[4:8]
+    camera, _ = GroundCamera.from_point_pairs(pairs[:, :2], 0.01 * pairs[:, 2:])
+    tracks = io.read_identified(folder / "fols1gt.xml", camera=camera)
     moving = speeds(tracks, 1.0)
     assert 0.7 < np.median(moving[moving > 0.3]) < 1.6
     corners = tracks.camera.image_to_ground([[60.0, 153.0], [367.0, 200.0]])

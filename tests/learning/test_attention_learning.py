@@ -14,7 +14,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.interaction.attention import AttentionParameters, attention
 from graphtrack.interaction.scores import score_gaze
-from graphtrack.interaction.tables import NOBODY, LookLabels, load_attention, save_parameters
+from graphtrack.interaction.tables import NOBODY, LookLabels
 from graphtrack.learning.interaction import fit_attention
 from graphtrack.simulation.scenario import Party, party
 
@@ -72,14 +72,14 @@ def test_labels_of_others_and_of_no_look_are_told() -> None:
 def test_parameters_come_back_from_their_file(tmp_path: Path) -> None:
     path = tmp_path / "learned.toml"
     parameters = AttentionParameters(look_std=0.21, nothing=0.4)
-    save_parameters(parameters, path)
-    assert load_attention(path) == parameters
+    parameters.save(path)
+    assert AttentionParameters.load(path) == parameters
     path.write_text("[attention]\nlook_std = 9.0\n")
     with pytest.raises(InputError, match=r"attention\.look_std = 9\.0"):
-        load_attention(path)
+        AttentionParameters.load(path)
     path.write_text("[groups]\n")
     with pytest.raises(InputError, match="no table \\[attention\\]"):
-        load_attention(path)
+        AttentionParameters.load(path)
 
 
 def test_the_commands_learn_and_judge(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_the_commands_learn_and_judge(tmp_path: Path) -> None:
     (tmp_path / "groups.csv").write_text("frame,track_id,group\n0,0,1\n0,1,1\n")
     scene, looks, learned = (tmp_path / name for name in ("party.csv", "looks.csv", "learned.toml"))
     ran("fit", scene, "--attention", looks, "-o", learned, program="graphtrack")
-    assert load_attention(learned) != AttentionParameters()
+    assert AttentionParameters.load(learned) != AttentionParameters()
     judged = run_program(
         *("attention", scene, "-o", tmp_path / "attention.csv"),
         *("--parameters", learned, "--truth", looks),

@@ -13,6 +13,7 @@ from street_files import write_street
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.model import Model
+from perception.adaptation import learning
 from perception.adaptation.directions import (
     CLASSES,
     calibrated,
@@ -30,7 +31,7 @@ from perception.adaptation.labels import (
     patch_of,
     walking_labels,
 )
-from perception.adaptation.learning import AdaptationParameters, joined, thinned
+from perception.adaptation.learning import joined, thinned
 from perception.adaptation.models import CameraModels
 from perception.evaluation.adapted_cameras import sequences_of
 from perception.models import load_classifier, load_head_localiser
@@ -42,7 +43,7 @@ from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
-    arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
+    arguments = write_street(pasted_street(16, np.random.default_rng(0)), folder / "street")
     done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     return folder / "camera.npz", done.stdout + done.stderr
 
@@ -61,12 +62,14 @@ def test_labels_are_where_people_go_and_nobody_who_stands_has_one() -> None:
     assert len(walking_labels(at_once, None, street.camera, FPS)) == 0
 
 
-def test_too_few_who_walk_are_refused() -> None:
+def test_too_few_who_walk_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     street = pasted_street(2, np.random.default_rng(3), offset=0.0)
     labels = walking_labels(street.boxes, None, street.camera, FPS)
     with pytest.raises(InputError, match="2 walking people, in 2 tracks"):
-        thinned(labels, AdaptationParameters())
-    few = thinned(labels, AdaptationParameters(least_people=2, most_of_person=3))
+        thinned(labels)
+    monkeypatch.setattr(learning, "LEAST_PEOPLE", 2)
+    monkeypatch.setattr(learning, "MOST_OF_PERSON", 3)
+    few = thinned(labels)
     assert np.bincount(few.person)[1:].tolist() == [3, 3]
 
 
@@ -138,12 +141,12 @@ def test_an_adapted_camera_sees_bodies_better_than_the_models_of_the_package(
 def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, str]) -> None:
     path, said = adapted
     card = CameraModels.load(path).card
-    assert card.parameters["people"] > 15
+    assert card.parameters["people"] > 10
     assert card.figures["body_expected_calibration_error"] < 0.15
     share = CameraModels.load(path).class_outlier_probability
     graph = Model.named(path.with_name("graph.toml")).parameters.likelihood
     assert share is not None and graph.class_outlier_probability == pytest.approx(share)
-    for text in ("in 24 tracks", "boxes as given", "expected calibration error"):
+    for text in ("in 16 tracks", "boxes as given", "expected calibration error"):
         assert text in said
 
 
@@ -191,12 +194,15 @@ def test_frames_that_repeat_each_other_are_worth_less_than_new_ones() -> None:
     assert found[True] > 0.8 and found[False] < 0.4
 
 
-def test_people_of_several_recordings_stay_apart_and_thinning_keeps_their_weight() -> None:
+def test_people_of_several_recordings_stay_apart_and_thinning_keeps_their_weight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     one = pasted_street(4, np.random.default_rng(2), offset=0.0)
     labels = walking_labels(one.boxes, None, one.camera, FPS)
     both = joined([labels, labels])
     assert len(np.unique(both.person)) == 8 and both.tracks == 8
-    thin = thinned(both, AdaptationParameters(most_of_person=2))
+    monkeypatch.setattr(learning, "MOST_OF_PERSON", 2)
+    thin = thinned(both)
     assert len(thin) == 16
     np.testing.assert_allclose(thin.count.sum(), len(both))
 

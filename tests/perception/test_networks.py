@@ -14,9 +14,9 @@ import pytest
 from command import ran, run
 
 from graphtrack.errors import InputError
-from perception.detection import from_supervision, from_ultralytics
+from perception.detection import from_supervision, from_ultralytics, yolo
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.detection.yolo import Letterbox, NetworkParameters, YoloNetwork
+from perception.detection.yolo import Letterbox, YoloNetwork
 
 pytest.importorskip("onnx", reason="the extra test has it")
 pytest.importorskip("onnxruntime", reason="the extra networks has it")
@@ -266,11 +266,13 @@ def test_every_layout_says_the_same(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_who_is_found_twice_is_told_once_unless_the_network_sees_to_that(tmp_path: Path, kind: str) -> None:
+def test_who_is_found_twice_is_told_once_unless_the_network_sees_to_that(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = network(tmp_path, kind, [TWICE, SURE])
     assert len(found.detect(PICTURE)) == (2 if kind == "selected" else 1)
-    loose = network(tmp_path, kind, [TWICE, SURE], parameters=NetworkParameters(overlap=0.99))
-    assert len(loose.detect(PICTURE)) == 2
+    monkeypatch.setattr(yolo, "_OVERLAP", 0.99)
+    assert len(found.detect(PICTURE)) == 2
 
 
 @pytest.mark.parametrize("kind", ["cells", "selected", "unselected"])
@@ -290,7 +292,7 @@ def test_a_person_is_found_where_the_picture_has_one(tmp_path: Path) -> None:
     picture = np.zeros((200, 100, 3), np.uint8)
     picture[100:125, 25:50, 2] = 255  # a cell of red
     picture[25:50, 50:75, 0] = 255  # and of blue
-    found = YoloNetwork(path, parameters=NetworkParameters(least=0.6))
+    found = YoloNetwork(path, least=0.6)
     box = Letterbox((100, 200), (SIDE, SIDE))
     assert box.shown == (32, 64) and box.margin == (16, 0)
     people = found.detect(picture)
@@ -317,11 +319,11 @@ def test_the_class_of_people_is_that_of_the_file_or_the_asked_one(tmp_path: Path
     constant(path, output, notes={"names": "{0: 'cat', 1: 'bus', 2: 'Person'}", "task": "detect"})
     assert YoloNetwork(path).detect(PICTURE).scores.tolist() == pytest.approx([0.8])
     for asked in ("0", "cat"):
-        one = YoloNetwork(path, parameters=NetworkParameters(person=asked))
+        one = YoloNetwork(path, person=asked)
         assert one.detect(PICTURE).scores.tolist() == pytest.approx([0.9])
     for asked, told in (("dog", "cat, bus, person"), ("7", "class 7 of 3")):
         with pytest.raises(InputError, match=told):
-            YoloNetwork(path, parameters=NetworkParameters(person=asked))
+            YoloNetwork(path, person=asked)
     constant(path, output, notes={"names": "{0: '0', 1: '1', 2: '2'}"})  # of a network without names
     assert YoloNetwork(path).detect(PICTURE).scores.tolist() == pytest.approx([0.9])
     constant(path, output, notes={"names": "{0: 'cat', 1: 'bus', 2: 'dog'}"})
@@ -337,13 +339,13 @@ def test_a_size_that_the_file_leaves_open_is_asked_for(tmp_path: Path) -> None:
     path = constant(tmp_path / "n.onnx", output_of("cells", [SURE], 1), **open_size)
     with pytest.raises(InputError, match=r"\(1, 3, any, any\).*--input-size"):
         YoloNetwork(path)
-    found = YoloNetwork(path, parameters=NetworkParameters(size=(SIDE, SIDE)))
+    found = YoloNetwork(path, size=(SIDE, SIDE))
     assert len(found.detect(PICTURE)) == 1
     constant(path, output_of("cells", [SURE], 1), notes={"imgsz": f"[{SIDE}, {SIDE}]"}, **open_size)
     assert YoloNetwork(path).size == (SIDE, SIDE)
     constant(path, output_of("cells", [SURE], 1))
     with pytest.raises(InputError, match="--input-size 32x32"):
-        YoloNetwork(path, parameters=NetworkParameters(size=(32, 32)))
+        YoloNetwork(path, size=(32, 32))
 
 
 @pytest.mark.parametrize(

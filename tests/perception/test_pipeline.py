@@ -98,7 +98,7 @@ def test_the_memory_that_boxes_take_is_bounded_by_the_image(size: tuple[float, f
     assert peak < 9e6  # the pictures of the largest together take 9.5 MB
 
 
-def test_train_on_files_and_a_contact_sheet(tmp_path: Path) -> None:
+def test_train_on_files(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rows = ["image,body_deg"]
     for k in range(40):
@@ -107,13 +107,11 @@ def test_train_on_files_and_a_contact_sheet(tmp_path: Path) -> None:
     labels = tmp_path / "labels.csv"
     labels.write_text("\n".join(rows) + "\n")
     model = tmp_path / "body.npz"
-    done = ran("train", "body_pose", "--images", tmp_path, "--labels", labels, "-o", model)
+    ran("train", "body_pose", "--images", tmp_path, "--labels", labels, "-o", model)
     assert "trained on 40 images" in run("card", model).stdout
     labels.write_text("image,body_deg\n0.png,north\n")
     bad = run("train", "body_pose", "--images", tmp_path, "--labels", labels, "-o", model)
     assert bad.returncode == 2 and "line 2" in bad.stderr
-    done = run("contact-sheet", "-o", tmp_path / "sheet.png", "--rows", 1)
-    assert done.returncode == 0 and cv2.imread(str(tmp_path / "sheet.png")) is not None
 
 
 SIZE = (384, 288)

@@ -21,7 +21,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
 from graphtrack.tracks.track import TrackSet
 from perception.adaptation import learning
-from perception.adaptation.learning import AdaptationParameters, learn
+from perception.adaptation.learning import learn
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
 from perception.drawing.overlays import Interval
@@ -319,16 +319,15 @@ def test_what_is_learned_is_learned_once(
     arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`observe --adapt` writes the output of `adapt` and `observe --models`, and does not learn again."""
-    quick = AdaptationParameters(least_people=3, rounds=0)
     learned: list[int] = []
 
     def learn_quickly(patches: list[np.ndarray], *rest: object) -> object:
         learned.append(len(patches))
-        return learn(patches, *rest[:5], quick)
+        return learn(patches, *rest)
 
     monkeypatch.setattr(learning, "learn", learn_quickly)
-    monkeypatch.setattr(learning, "thinned", lambda labels, _: labels)
-    monkeypatch.setattr(learning, "AdaptationParameters", lambda: quick)
+    monkeypatch.setattr(learning, "thinned", lambda labels: labels)
+    monkeypatch.setattr(learning, "ROUNDS", 0)
     assert run("adapt", *arguments, "-o", tmp_path / "camera.npz").returncode == 0
     done = ran("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
     looked = breaking_off(monkeypatch, 5)

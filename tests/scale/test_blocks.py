@@ -11,7 +11,7 @@ from command import ran, run
 from crossing_people import idf1, packed_square
 
 import graphtrack as gt
-from graphtrack.scale import associate_dataset
+from graphtrack.scale import AssociationOutcome, associate_dataset
 
 Seen = tuple[Path, np.ndarray]
 
@@ -21,15 +21,26 @@ KNOWN = {"longest_gap": 1.0}
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    """A minute of a square in three files, in the order of time, and whose each detection is."""
+    """40 s of a square in three files, in the order of time, and whose each detection is."""
     rng = np.random.default_rng(2)
-    detections, whose = packed_square(rng, people=12, frames=300, noise=0.05, square_metres=100.0)
+    detections, whose = packed_square(rng, people=12, frames=200, noise=0.05, square_metres=100.0)
     x, y = detections.position.T
     table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
     folder = tmp_path_factory.mktemp("square")
     for k, part in enumerate(np.array_split(np.arange(len(table)), 3)):
         table.iloc[part].to_parquet(folder / f"{k}.parquet", index=False)
     return folder, whose
+
+
+@pytest.fixture(scope="module")
+def in_blocks(seen: Seen, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AssociationOutcome]:
+    """The tracks of several blocks."""
+    path = tmp_path_factory.mktemp("blocks") / "found.parquet"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("graphtrack.scale.dataset.BLOCK", 100)
+        outcome = associate_dataset(seen[0], path, KNOWN, block_rows=400)
+    assert outcome.blocks >= 5
+    return path, outcome
 
 
 def identities(written: Path, folder: Path) -> np.ndarray:
@@ -41,47 +52,34 @@ def identities(written: Path, folder: Path) -> np.ndarray:
     return both.track_id.fillna(-1).to_numpy(np.int64)
 
 
-def test_one_block_is_what_the_recording_gives_in_memory(
-    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, _ = seen
-    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 500)
-    outcome = associate_dataset(folder, tmp_path / "found.parquet", KNOWN)
-    (one,) = {len(pd.concat(pd.read_parquet(path) for path in folder.iterdir()))}
-    assert outcome.blocks == 1 and outcome.n_detections == one
-    whole = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
-    expected = gt.associate(whole, KNOWN).to_table()
-    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "found.parquet"), expected, check_like=True)
-
-
-def test_people_keep_their_numbers_from_block_to_block(
-    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_one_block_is_what_the_recording_gives_in_memory_and_more_keep_peoples_numbers(
+    seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, whose = seen
-    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
-    one, many = tmp_path / "one.parquet", tmp_path / "many.parquet"
-    associate_dataset(folder, one, KNOWN)
-    outcome = associate_dataset(folder, many, KNOWN, block_rows=400)
-    assert outcome.blocks >= 5
+    monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 500)
+    one, (many, blocks) = tmp_path / "one.parquet", in_blocks
+    outcome = associate_dataset(folder, one, KNOWN)
+    whole = pd.concat(pd.read_parquet(path) for path in sorted(folder.iterdir()))
+    assert outcome.blocks == 1 and outcome.n_detections == len(whole)
+    expected = gt.associate(whole, KNOWN).to_table()
+    pd.testing.assert_frame_equal(pd.read_parquet(one), expected, check_like=True)
     found = identities(many, folder)
     assert idf1(found, whose) > idf1(identities(one, folder), whose) - 0.01 > 0.95
     pairs = pd.read_parquet(many)[["track_id", "frame"]]
     assert not pairs.duplicated().any()
     # The estimates of the smoother can follow.
     done = gt.scale.smooth_dataset(many, tmp_path / "smoothed.parquet", "position")
-    assert done.n_smoothed == outcome.people
+    assert done.n_smoothed == blocks.people
 
 
 def test_blocks_may_be_associated_anywhere(
-    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    folder, _ = seen
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
-    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
-    associate_dataset(folder, here, KNOWN, block_rows=400)
-    associate_dataset(folder, there, KNOWN, block_rows=400, cluster="local", jobs=2)
-    assert here.read_bytes() == there.read_bytes()
+    there = tmp_path / "there.parquet"
+    associate_dataset(seen[0], there, KNOWN, block_rows=400, cluster="local", jobs=2)
+    assert in_blocks[0].read_bytes() == there.read_bytes()
 
 
 def test_rows_that_are_not_in_the_order_of_time_are_one_error(seen: Seen, tmp_path: Path) -> None:
@@ -97,21 +95,20 @@ def test_rows_that_are_not_in_the_order_of_time_are_one_error(seen: Seen, tmp_pa
 
 
 def test_the_command_associates_and_smooths_what_has_no_identities(
-    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, _ = seen
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
     model, output = tmp_path / "model.toml", tmp_path / "smoothed.parquet"
     gt.Model("position", scene=KNOWN).save(model)
     options = ("-o", output, "--model", model, "--batch-frames", 400)
-    done = ran("smooth", folder, *options, program="graphtrack")
-    outcome = associate_dataset(folder, tmp_path / "found.parquet", KNOWN, block_rows=400)
+    done = ran("smooth", seen[0], *options, program="graphtrack")
+    found, outcome = in_blocks
     detections, blocks = f"{outcome.n_detections} detections", f"{outcome.blocks} blocks"
     assert f"associated {detections} in {blocks}: {outcome.people} tracks" in done.stdout + done.stderr
-    gt.scale.smooth_dataset(tmp_path / "found.parquet", tmp_path / "expected.parquet", gt.Model("position"))
+    gt.scale.smooth_dataset(found, tmp_path / "expected.parquet", gt.Model("position"))
     assert output.read_bytes() == (tmp_path / "expected.parquet").read_bytes()
     # Nothing else is left behind.
-    names = {"model.toml", "smoothed.parquet", "found.parquet", "expected.parquet"}
+    names = {"model.toml", "smoothed.parquet", "expected.parquet"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 

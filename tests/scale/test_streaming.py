@@ -108,12 +108,12 @@ def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeyp
     path = tmp_path / "in.parquet"
     table.to_parquet(path, index=False)
     monkeypatch.setattr(batch, "LARGE", len(table))
-    expected = in_memory(path, tmp_path / "expected.parquet", "joint")
-    smooth_dataset(path, tmp_path / "out.parquet", "joint", batch_frames=50)
+    expected = in_memory(path, tmp_path / "expected.parquet", "full")
+    smooth_dataset(path, tmp_path / "out.parquet", "full", batch_frames=50)
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
     # The rest: not all of them have classes.
     monkeypatch.setattr(batch, "LARGE", len(table) + 1)
-    other = in_memory(path, tmp_path / "other.parquet", "joint")
+    other = in_memory(path, tmp_path / "other.parquet", "full")
     assert other.read_bytes() != expected.read_bytes()
 
 

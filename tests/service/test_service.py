@@ -5,8 +5,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -23,12 +21,9 @@ def service(tmp_path_factory):
         yield running
 
 
-def of_track(lines, *options):
+def of_track(lines):
     """Answers of ``graphtrack track -`` to the same rows."""
-    command = [sys.executable, "-m", "graphtrack", "track", "-", "--model", "position", *options]
-    text = "".join(f"{line}\n" for line in lines)
-    done = subprocess.run(command, input=text, capture_output=True, text=True)
-    return done.stdout.splitlines()
+    return run("track", "-", "--model", "position", program="graphtrack", rows=lines).stdout.splitlines()
 
 
 def test_answers_are_those_of_track_however_rows_come(service):

@@ -25,14 +25,14 @@ class Done:
 def run(*arguments: object, program: str = "perception", rows: Iterable[Any] | None = None) -> Done:
     """Run a program's command line in this process, since imports take longer than the command.
 
-    ``rows`` come to it as lines of JSON on the standard input.
+    ``rows`` come to it as lines of JSON on the standard input; texts are lines already.
     """
     main = import_module(f"{program}.cli").main
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", [program, *map(str, arguments)])
         if rows is not None:
-            lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
+            lines = "".join(f"{row if isinstance(row, str) else json.dumps(row)}\n" for row in rows).encode()
             patch.setattr(sys, "stdin", TextIOWrapper(BytesIO(lines)))
         with pytest.raises(SystemExit) as end:
             main()

@@ -13,22 +13,24 @@ import graphtrack as gt
 
 
 def solver() -> None:
-    """Smooth and track."""
-    for preset in ("joint", "full"):
-        gt.warm_up(preset, large=preset == "full")
-
-
-def others() -> None:
-    """GTSAM's engines, association, the particle filter, groups, gaze, forecasts, walls and perception."""
-    import shapely
-    from documents import run_line
-
+    """Smooth and track, with GTSAM's engines and the particle filter too; the extras are not there yet."""
     from graphtrack.baselines.particle_filter import particle_smoother
     from graphtrack.inference.engines import TRACK
 
+    for preset in ("joint", "full"):
+        gt.warm_up(preset, large=True)
     particle_smoother(TRACK)
     gt.track_online(TRACK, "joint", engine="isam2")
     gt.smooth(TRACK, "joint", engine="gtsam")
+
+
+def others() -> None:
+    """Association, groups, gaze, forecasts, walls and perception."""
+    import shapely
+    from documents import run_line
+
+    from graphtrack.inference.engines import TRACK
+
     gt.associate(gt.simulate("position", n_tracks=2, n_steps=40))
     gt.track_online(TRACK, "position", engine="fixed-lag", walkable=shapely.box(-9, -9, 9, 9))
     with tempfile.TemporaryDirectory() as folder:

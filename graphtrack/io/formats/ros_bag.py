@@ -180,28 +180,40 @@ HEAD = "head"
 """Class of a detection's hypothesis whose pose is that of the head."""
 
 
+_NOT_ROTATED = (0.0, 0.0, 0.0, 0.0)
+_UNKNOWN = np.zeros(36)
+
+
 class Sighting(NamedTuple):
     """Observation of a person.
 
     Attributes
     ----------
     name : the identity; "" where there is none
-    place : x, y, z in metres; None: unknown, or given by tf
-    turn : quaternion x, y, z, w of the body; None: the message has none
-    covariance : 36 numbers of a pose's covariance, or None
-    head, head_covariance : the same of the head
+    place : x, y, z in metres; NaN: unknown, or given by tf
+    turn, head : quaternions x, y, z, w of body and head; 0: the message has none
+    covariance, head_covariance : 36 numbers of the covariances of both poses; 0: unknown
     score : the detector's confidence; 0 means unknown
     kind : the class of a detection
     """
 
     name: str = ""
-    place: tuple[float, float, float] | None = None
-    turn: tuple[float, float, float, float] | None = None
-    covariance: Any = None
-    head: tuple[float, float, float, float] | None = None
-    head_covariance: Any = None
+    place: tuple[float, float, float] = (np.nan, np.nan, np.nan)
+    turn: tuple[float, float, float, float] = _NOT_ROTATED
+    covariance: Any = _UNKNOWN
+    head: tuple[float, float, float, float] = _NOT_ROTATED
+    head_covariance: Any = _UNKNOWN
     score: float = 0.0
     kind: str = ""
+
+
+_SIGHTING = np.dtype(
+    [
+        *(("stamp", "i8"), ("number", "i8"), ("frame_id", "O"), ("name", "O"), ("place", "f8", 3)),
+        *(("turn", "f8", 4), ("covariance", "f8", 36), ("head", "f8", 4), ("head_covariance", "f8", 36)),
+        *(("score", "f8"), ("kind", "O")),
+    ]
+)
 
 
 class Frame(NamedTuple):
@@ -210,6 +222,15 @@ class Frame(NamedTuple):
     stamp: int
     frame_id: str
     people: list[Sighting]
+
+
+def sightings_of(frames: Iterable[tuple[Frame, int]]) -> NDArray[np.void]:
+    """Return the sightings of messages, each with its number in the topic, as records (n,).
+
+    The fields are those of `Frame` and `Sighting`, and ``number``.
+    """
+    people = [(frame.stamp, number, frame.frame_id, *one) for frame, number in frames for one in frame.people]
+    return np.array(people, _SIGHTING)
 
 
 def stamp_of(header: Any) -> int:
@@ -231,14 +252,14 @@ def _turn(orientation: Any) -> tuple[float, float, float, float]:
     return orientation.x, orientation.y, orientation.z, orientation.w
 
 
-def _posed(pose: Any, covariance: Any = None) -> Sighting:
+def _posed(pose: Any, covariance: Any = _UNKNOWN) -> Sighting:
     return Sighting("", _place(pose.position), _turn(pose.orientation), covariance)
 
 
 def _of_detections(message: Any) -> Iterator[Sighting]:
     for one in message.detections:
-        pose, covariance, score, kind = one.bbox.center, None, 0.0, ""
-        head = head_covariance = None
+        pose, covariance, score, kind = one.bbox.center, _UNKNOWN, 0.0, ""
+        head, head_covariance = _NOT_ROTATED, _UNKNOWN
         best = None
         for result in one.results:
             if result.hypothesis.class_id == HEAD:
@@ -249,7 +270,7 @@ def _of_detections(message: Any) -> Iterator[Sighting]:
             pose, covariance = best.pose.pose, best.pose.covariance
             score, kind = best.hypothesis.score, best.hypothesis.class_id
         yield Sighting(
-            one.id,
+            one.id.strip(),
             _place(pose.position),
             _turn(pose.orientation),
             covariance,
@@ -261,12 +282,14 @@ def _of_detections(message: Any) -> Iterator[Sighting]:
 
 
 _READERS: Mapping[str, Callable[[Any], Iterable[Sighting]]] = {
-    PEOPLE: lambda m: [Sighting(one.name, _place(one.position), score=one.reliability) for one in m.people],
+    PEOPLE: lambda m: [
+        Sighting(one.name.strip(), _place(one.position), score=one.reliability) for one in m.people
+    ],
     DETECTIONS: _of_detections,
     POSES: lambda m: map(_posed, m.poses),
     POSE: lambda m: [_posed(m.pose)],
     POSE_WITH_COVARIANCE: lambda m: [_posed(m.pose.pose, m.pose.covariance)],
-    IDS: lambda m: map(Sighting, m.ids),
+    IDS: lambda m: [Sighting(one.strip()) for one in m.ids],
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -25,13 +25,13 @@ from graphtrack.io.formats.ros_bag import (
     TRANSFORMS,
     Bag,
     Frame,
-    Sighting,
     chosen_topics,
     frame_of,
     is_of_one,
     kappa_of,
     multiplied,
     open_bag,
+    sightings_of,
     spread_of,
     stamp_of,
     yaw_of,
@@ -269,74 +269,6 @@ class Humans:
 
 _USUAL = ("map", "odom", "world", "earth", "")  # fixed frames of reference, by REP 105
 
-_UNTOLD = (0.0, 0.0, 0.0, 0.0)
-_NOWHERE = (np.nan, np.nan, np.nan)
-_UNKNOWN = np.zeros(36)
-
-
-@dataclass(frozen=True, eq=False)
-class Sightings:
-    """n sightings as arrays.
-
-    Attributes
-    ----------
-    stamp, number : (n,) nanoseconds, and the message of its topic, from 1
-    frame_id, name, kinds : (n,) text
-    place : (n, 3) metres
-    turn, head : (n, 4) quaternions, 0 where unknown
-    covariance, head_covariance : (n, 36)
-    score : (n,) 0 where unknown
-    """
-
-    stamp: NDArray[np.int64]
-    number: NDArray[np.int64]
-    frame_id: NDArray[Any]
-    name: NDArray[Any]
-    kinds: list[str]
-    place: FloatArray
-    turn: FloatArray
-    head: FloatArray
-    covariance: FloatArray
-    head_covariance: FloatArray
-    score: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.stamp)
-
-    @classmethod
-    def of(cls, frames: Sequence[tuple[Frame, int]]) -> Sightings:
-        """Return the sightings of some messages."""
-        people: list[Sighting] = [one for frame, _ in frames for one in frame.people]
-        counts = [len(frame.people) for frame, _ in frames]
-
-        def table(name: str, missing: Any) -> FloatArray:
-            values = [missing if (v := getattr(one, name)) is None else v for one in people]
-            return np.array(values, dtype=float).reshape(len(people), len(missing))
-
-        def text(values: list[str]) -> NDArray[Any]:
-            found = np.empty(len(values), dtype=object)
-            found[:] = values
-            return found
-
-        frame_ids = [frame.frame_id for frame, _ in frames]
-        return cls(
-            stamp=np.repeat(np.array([frame.stamp for frame, _ in frames], dtype=np.int64), counts),
-            number=np.repeat([number for _, number in frames], counts),
-            frame_id=np.repeat(text(frame_ids), counts),
-            name=text([one.name.strip() for one in people]),
-            kinds=[one.kind for one in people],
-            place=table("place", _NOWHERE),
-            turn=table("turn", _UNTOLD),
-            head=table("head", _UNTOLD),
-            covariance=table("covariance", _UNKNOWN),
-            head_covariance=table("head_covariance", _UNKNOWN),
-            score=np.array([one.score for one in people], dtype=float),
-        )
-
-    def is_turned(self) -> bool:
-        """Return whether any orientation is neither missing nor the identity rotation."""
-        return bool((self.turn[:, :3] != 0.0).any())
-
 
 class Ground:
     """Transformation of sightings to the ground of a frame of reference.
@@ -368,7 +300,7 @@ class Ground:
         hint = "; --fixed-frame transforms them to a fixed one" if may_move else ""
         return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed{hint}"]
 
-    def placed(self, sightings: Sightings) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    def placed(self, sightings: NDArray[np.void]) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Return x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
 
         Returns
@@ -376,23 +308,23 @@ class Ground:
         columns, known : name → (n,), and a mask of rows with a known transform (n,)
         """
         if self.fixed is None:
-            self.fixed = str(sightings.frame_id[0])
+            self.fixed = str(sightings["frame_id"][0])
             if self._humans is not None and self.fixed not in self._transforms:
                 there = ", ".join(self._transforms.frames[:20]) or "none: the recording has no tf"
                 raise InputError("people with positions in tf", f"--fixed-frame with one of {there}")
         if self._humans is not None:
             return self._placed_by_transforms(sightings, self._humans)
-        place, turn, head = sightings.place, sightings.turn, sightings.head
+        place, turn, head = sightings["place"], sightings["turn"], sightings["head"]
         known = np.ones(len(sightings), dtype=bool)
         turns: FloatArray | None = None
-        for frame_id in sorted(set(sightings.frame_id.tolist())):
+        for frame_id in sorted(set(sightings["frame_id"].tolist())):
             if frame_id == self.fixed:
                 continue
             if not self._was_given:
                 found = f"messages in the frames {self.fixed!r} and {frame_id!r}"
                 raise InputError(found, "--fixed-frame with the frame to transform them to by tf")
-            rows = np.flatnonzero(sightings.frame_id == frame_id)
-            pose = self._transforms.placement(frame_id, self.fixed, sightings.stamp[rows])
+            rows = np.flatnonzero(sightings["frame_id"] == frame_id)
+            pose = self._transforms.placement(frame_id, self.fixed, sightings["stamp"][rows])
             if turns is None:
                 turns = np.tile(np.eye(3), (len(sightings), 1, 1))
                 place, turn, head = place.copy(), turn.copy(), head.copy()
@@ -401,8 +333,8 @@ class Ground:
             turn[rows] = multiplied(pose.quaternion, turn[rows])
             head[rows] = multiplied(pose.quaternion, head[rows])
             known[rows] = pose.known
-        pos_std, body_variance = spread_of(sightings.covariance, turns)
-        _, head_variance = spread_of(sightings.head_covariance, turns)
+        pos_std, body_variance = spread_of(sightings["covariance"], turns)
+        _, head_variance = spread_of(sightings["head_covariance"], turns)
         found_place = np.where(np.isfinite(place[:, :2]).all(axis=1, keepdims=True), place[:, :2], np.nan)
         return {
             **_heading("body", yaw_of(turn), body_variance),
@@ -412,15 +344,15 @@ class Ground:
         }, known
 
     def _placed_by_transforms(
-        self, sightings: Sightings, humans: Humans
+        self, sightings: NDArray[np.void], humans: Humans
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         assert self.fixed is not None
         n = len(sightings)
         place, known = np.full((n, 2), np.nan), np.zeros(n, dtype=bool)
         body, head = np.full(n, np.nan), np.full(n, np.nan)
-        for name in dict.fromkeys(sightings.name.tolist()):
-            rows = np.flatnonzero(sightings.name == name)
-            found = humans.placed(name, self.fixed, sightings.stamp[rows], self._transforms)
+        for name in dict.fromkeys(sightings["name"].tolist()):
+            rows = np.flatnonzero(sightings["name"] == name)
+            found = humans.placed(name, self.fixed, sightings["stamp"][rows], self._transforms)
             if found is not None:
                 place[rows], body[rows], head[rows], known[rows] = found
         unknown = np.full(n, np.nan)
@@ -437,12 +369,12 @@ def _heading(name: str, angle: FloatArray, variance: FloatArray) -> dict[str, Fl
     return {f"{name}_rad": angle, f"{name}_kappa": kappa}
 
 
-def _of_anybody(sightings: Sightings, place: FloatArray) -> dict[str, NDArray[Any]]:
-    score = np.where(sightings.score > 0.0, sightings.score, np.nan)
+def _of_anybody(sightings: NDArray[np.void], place: FloatArray) -> dict[str, NDArray[Any]]:
+    score = np.where(sightings["score"] > 0.0, sightings["score"], np.nan)
     return {
-        "stamp": sightings.stamp,
-        "name": sightings.name,
-        "number": sightings.number,
+        "stamp": sightings["stamp"],
+        "name": sightings["name"],
+        "number": sightings["number"],
         "x": place[:, 0],
         "y": place[:, 1],
         "score": score,
@@ -544,11 +476,11 @@ def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tu
     columns = _Columns()
     frames = _frames(bag, kind, topics)
     while some := list(islice(frames, _AT_A_TIME)):
-        sightings = Sightings.of(some)
+        sightings = sightings_of(some)
         if not len(sightings):
             continue
         keep = np.ones(len(sightings), dtype=bool)
-        for row, classified in enumerate(sightings.kinds):
+        for row, classified in enumerate(sightings["kind"].tolist()):
             if classified == _AGAIN:
                 keep[row] = False
                 columns.refused[_AGAIN] += 1
@@ -557,7 +489,7 @@ def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tu
                 columns.refused[_OTHER_CLASS] += 1
             elif classified:
                 columns.kinds[classified] += 1
-        columns.turned |= kind == IDS or sightings.is_turned()
+        columns.turned |= kind == IDS or bool((sightings["turn"][:, :3] != 0.0).any())
         found, known = ground.placed(sightings)
         columns.refused[_NO_TRANSFORM] += int((keep & ~known).sum())
         keep &= known

@@ -27,8 +27,9 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and project their bottom centres to the ground.
 
     The calibration is that of the options or ``calibration.ci`` next to the file. The boxes may be those of
-    an image of half the calibrated size: that is recognised when all upper edges are centred within it, or
-    set by ``image_scale``. 25 frames a second unless ``fps`` is given.
+    an image of half the calibrated size: that is recognised when all upper edges are centred within it,
+    unless the camera itself is given.
+    25 frames a second unless ``fps`` is given.
     """
     rows = read_boxes(source)
     left, top, width, height = rows.channels["box"].T
@@ -55,25 +56,19 @@ def _camera(
         camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
     if camera is None:
         return camera_or_scale(options, pixel, height)
-    scale, why = _image_scale(options, camera, pixel - np.column_stack([np.zeros_like(height), height]))
-    if scale != 1.0:
-        camera, notes = camera.resized(1.0 / scale), (*notes, why)
+    if options.camera is None and _is_half(camera, pixel - np.column_stack([np.zeros_like(height), height])):
+        note = "the boxes fit into half of the calibrated image: their pixels are doubled"
+        camera, notes = camera.resized(0.5), (*notes, note)
     return camera, notes
 
 
-def _image_scale(options: ReadOptions, camera: GroundCamera, top_centre: FloatArray) -> tuple[float, str]:
-    """Return the factor from the file's pixels to those of the calibrated image, and a note on it."""
-    if options.image_scale is not None:
-        scale = options.image_scale
-        return scale, f"the file's pixels are multiplied by {scale:g}, as given"
+def _is_half(camera: GroundCamera, top_centre: FloatArray) -> bool:
+    """Return whether pixels (n, 2) are those of an image of half the calibrated size."""
     if camera.intrinsics is None:
-        return 1.0, ""
+        return False
     # The principal point is the middle of the calibrated image; half the image ends there. Boxes of people
     # at the border extend below the image, so only their upper edges must lie within it.
-    half = camera.intrinsics[:2, 2] + 0.5
-    if np.all(top_centre <= half):
-        return 2.0, "the boxes fit into half of the calibrated image: their pixels are doubled"
-    return 1.0, ""
+    return bool(np.all(top_centre <= camera.intrinsics[:2, 2] + 0.5))
 
 
 TOWNCENTRE = Format(

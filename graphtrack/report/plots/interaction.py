@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +14,6 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.attention import Attention, LookSummary, frame_seconds
 from graphtrack.interaction.groups import Groups
 from graphtrack.interaction.people import Place
-from graphtrack.io.atomic import atomic_path
 from graphtrack.report.interaction import GroupSpan
 from graphtrack.report.lives import finite_rows
 from graphtrack.report.style import (
@@ -94,20 +92,6 @@ _LEAST_SHARE = 10.0
 
 _WRITTEN = 14
 """Up to so many people and targets the matrix has its numbers."""
-
-
-def draw_gaze(
-    tracks: TrackSet,
-    places: Sequence[Place],
-    found: Sequence[Attention],
-    summary: LookSummary,
-    paths: Sequence[Path],
-) -> None:
-    """Write three pictures: a heat map of gaze on the ground, a timeline, and the matrix."""
-    figures = plot_heat_map(tracks, places, found), plot_look_timeline(found), plot_matrix(summary)
-    for figure, path in zip(figures, paths, strict=True):
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary)
 
 
 def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Attention]) -> Figure:

@@ -15,6 +15,7 @@ from command import Done, ran, run
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.baselines.hungarian import HungarianParameters
+from graphtrack.evaluation.methods import Method
 from graphtrack.evaluation.trackers import (
     INSTALL,
     TUNED,
@@ -111,20 +112,12 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
 def test_figures_are_those_of_score(scene: Scene) -> None:
     method = make_tracker("hungarian", Model("joint"))
     (found,) = compare_trackers(scene.detections, scene.truth, [method], metres=0.7).results
-    assert found.score == gt.score(method.track(scene.detections), scene.truth, metres=0.7).together
+    assert found.score == gt.score(method.run(scene.detections), scene.truth, metres=0.7).together
 
 
 def test_a_method_of_your_own_takes_part(scene: Scene) -> None:
-    @dataclass(frozen=True)
-    class Nobody:
-        name = "nobody"
-        online = True
-        information = "finds nobody"
-
-        def track(self, detections: Detections) -> TrackSet:
-            return TrackSet(())
-
-    (found,) = compare_trackers(scene.detections, scene.truth, [Nobody()], fill=True).results
+    nobody = Method("nobody", True, "finds nobody", lambda detections: TrackSet(()))
+    (found,) = compare_trackers(scene.detections, scene.truth, [nobody], fill=True).results
     assert found.score.idf1 == 0.0 and found.score.recall == 0.0
 
 
