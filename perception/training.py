@@ -340,16 +340,10 @@ def _figures(model: HeadExemplars, scenes: _Scenes, chosen: slice) -> dict[str, 
     }
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledImages:
-    """n images with numbers of each: ``values`` (n, k) in the order of the requested columns."""
-
-    images: list[Image]
-    values: FloatArray
-
-
-def read_labelled(folder: str | Path, labels: str | Path, columns: tuple[str, ...]) -> LabelledImages:
-    """Read the images that a CSV names in its column ``image``, with other columns as numbers.
+def read_labelled(
+    folder: str | Path, labels: str | Path, columns: tuple[str, ...]
+) -> tuple[list[Image], FloatArray]:
+    """Read the n images that a CSV names in its column ``image``, and other columns as numbers (n, k).
 
     Parameters
     ----------
@@ -386,7 +380,7 @@ def read_labelled(folder: str | Path, labels: str | Path, columns: tuple[str, ..
             values.append(numbers)
     if not images:
         raise InputError("no rows", "at least one image", path=labels)
-    return LabelledImages(images, np.array(values, float))
+    return images, np.array(values, float)
 
 
 COUNTS = {
@@ -583,20 +577,20 @@ def train_on_files(
     check_published(name, as_published)
     model: FeatureClassifier | HeadLocaliser
     if name == HeadLocaliser.kind:
-        given = read_labelled(folder, labels, ("left", "top", "width", "height"))
-        model = _head_localiser(seed, as_published).fit(given.images, given.values)
+        images, boxes = read_labelled(folder, labels, ("left", "top", "width", "height"))
+        model = _head_localiser(seed, as_published).fit(images, boxes)
     elif name == BodyPose.kind:
-        given = read_labelled(folder, labels, ("body_deg",))
+        images, angles = read_labelled(folder, labels, ("body_deg",))
         model = _untrained(name, seed, as_published)
-        model.fit(given.images, model.classes.index(np.deg2rad(given.values[:, 0])))
+        model.fit(images, model.classes.index(np.deg2rad(angles[:, 0])))
     else:
-        given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
+        images, angles = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
         # These labels lack skin masks, so the colours of the package's model are used.
         skin = Templates.load(model_path(Templates.kind)).skin if name == Templates.kind else None
         model = _untrained(name, seed, as_published, skin)
         if name == Exemplars.kind and not as_published:
             model = Exemplars(seed=seed)  # for fewer images than are rendered
-        model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
+        model.fit(images, model.classes.index(*np.deg2rad(angles).T))
     model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
     return model
 

@@ -17,7 +17,7 @@ from graphtrack.baselines.intentional import (
     intentional_filter,
     intentional_states,
 )
-from graphtrack.experiments.baxter_statistics import deviation, travel_velocity
+from graphtrack.experiments.baxter_statistics import travel_velocity
 from graphtrack.experiments.harness import (
     GRAPHS,
     Cell,
@@ -43,11 +43,6 @@ from graphtrack.tracks.track import Track
 
 LEAST_LABELS = 50
 """Labelled heads of a person that is judged: 2 s at 25 frames a second."""
-
-RELABELLED = float(np.radians(2.0))
-"""Change of a head between frames above which it was relabelled: a constant direction in the image turns by
-less in the world as a person walks through the wide-angle view."""
-
 
 People = Mapping[str, Track]
 """Sequence and number of a person → stretch of labelled heads; labelled positions are also the truth."""
@@ -85,13 +80,6 @@ def detected(track: Track, rate: float, rng: np.random.Generator) -> Track:
     head = None if track.head is None else np.where(labelled, track.head, np.nan)
     pixel = None if track.pixel is None else np.where(labelled[:, None], track.pixel, np.nan)
     return replace(track, position=position, head=head, pixel=pixel)
-
-
-def relabelled_rate(track: Track) -> float:
-    """Changes of the labelled head per second."""
-    head = np.asarray(track.head)
-    head = head[np.isfinite(head)]
-    return float(np.sum(np.abs(difference(head[1:], head[:-1])) > RELABELLED) / (track.t[-1] - track.t[0]))
 
 
 def with_noise(density: float, std: float) -> Parameters:
@@ -378,10 +366,6 @@ def _parts(settings: Settings) -> Parts:
         list(everyone.values()), settings.few(10, 2), lambda c, time: settings.rng(2, c, time)
     )
     settings.progress(1)
-    yield Table.of(
-        "People with labelled heads; ε = direction of travel − head, as in baxter-statistics",
-        (_person(name, track) for name, track in everyone.items()),
-    )
     detail = Table.of(
         "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ",
         _detail(found, everyone),
@@ -428,22 +412,6 @@ def _parts(settings: Settings) -> Parts:
         "that of the labels, or with noise like R's, the loss is gone; with heads along the travel, or with "
         "deviations that are new at every frame, it is not."
     )
-
-
-def _person(name: str, track: Track) -> Row:
-    mean, std = deviation(track)
-    steps = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
-    speed = np.linalg.norm(travel_velocity(track), axis=1)
-    return {
-        "person": name,
-        "frames": len(track),
-        "heads": int(np.isfinite(np.asarray(track.head)).sum()),
-        "speed (m/s)": float(np.nanmedian(speed)),
-        "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
-        "relabelled (1/s)": relabelled_rate(track),
-        "ε, mean (°)": float(np.degrees(mean)),
-        "ε, std (°)": float(np.degrees(std)),
-    }
 
 
 def _detail(found: Outcomes, everyone: People) -> Iterator[Row]:

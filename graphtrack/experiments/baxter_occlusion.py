@@ -30,7 +30,6 @@ from graphtrack.experiments.harness import (
     Experiment,
     Panel,
     Parts,
-    Progress,
     Row,
     Settings,
     Table,
@@ -69,27 +68,10 @@ Predictor = Callable[[Track], FloatArray]
 WithheldWindows = Sequence[tuple[Track, BoolArray]]
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Effort of fitting and sampling.
-
-    Attributes
-    ----------
-    evaluations : of the error in the training windows, by the number of parameters, at most
-    sparing : the particles are fitted on every so many-th training window
-    particles, smoother_particles : of the filter, and of the smoother, which needs more after a gap
-    fitting_particles : of both, while they are fitted
-    """
-
-    evaluations: Mapping[int, int]
-    sparing: int
-    particles: int
-    smoother_particles: int
-    fitting_particles: int
-
-
-FULL = Effort({1: 16, 2: 20, 3: 30}, 2, 1000, 4000, 1000)
-QUICK = Effort({1: 12, 2: 9, 3: 12}, 3, 1000, 1000, 500)
+EVALUATIONS = {1: (16, 12), 2: (20, 9), 3: (30, 12)}
+"""Number of parameters → evaluations of the error in the training windows, at most, and in a first look."""
+PARTICLES, SMOOTHER_PARTICLES = 1000, 4000
+"""Particles of the filter, and of the smoother, which needs more after a gap."""
 
 DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
 """Start of every search: q in m²/s³, the strength of the couplings, λ in 1/s."""
@@ -163,15 +145,14 @@ def offline(model: Model) -> Predictor:
     return lambda track: smooth(TrackSet((track,)), model).tracks[0].position
 
 
-def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dict[str, Predictor]:
+def fitted(training: WithheldWindows, settings: Settings) -> dict[str, Predictor]:
     """The methods by name, each with the parameters that make its own error least in the training windows;
     Baxter et al.'s own filters keep theirs.
 
     Parameters
     ----------
     training : tracks with their windows
-    effort : how long the search is
-    progress : called after each method
+    settings : shorter searches with ``quick``; progress is reported after each method
     """
 
     def best(
@@ -180,8 +161,8 @@ def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dic
         def error(*values: float) -> float:
             return float(np.mean(error_of(make(*values), pairs)))
 
-        found = fit(error, start, evaluations=effort.evaluations[len(start)])
-        progress(1)
+        found = fit(error, start, evaluations=settings.few(*EVALUATIONS[len(start)]))
+        settings.progress(1)
         return found
 
     def best_model(
@@ -190,13 +171,14 @@ def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dic
         make, rate = model_of(preset), (RATE,) if preset == STEERED else ()
         return make(*best(lambda *v: predictor(make(*v)), DENSITY, FACTOR, *rate, pairs=pairs))
 
-    few, sampled = training[:: effort.sparing], effort.fitting_particles
+    few, sampled = training[:: settings.few(2, 3)], settings.few(1000, 500)
+    of_smoother = settings.few(SMOOTHER_PARTICLES, PARTICLES)
     found = {"kf": in_steps(None), **{name: in_steps(own) for name, own in OWN_FILTERS.items()}}
     found["kf fitted"] = kalman(*best(kalman, DENSITY))
     found["intentional"] = intentional(*best(intentional, DENSITY, RATE))
     for preset in PRESETS:
         model = best_model(preset, lambda m: particles(m, sampled), few)
-        found[f"particle {preset}"] = particles(model, effort.particles)
+        found[f"particle {preset}"] = particles(model, PARTICLES)
     for preset in PRESETS:
         model = best_model(preset, hidden_only)
         found[f"graph {preset}"] = online(model)
@@ -204,7 +186,7 @@ def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dic
     found["rts"] = backward(*best(backward, DENSITY))
     for preset in PRESETS:
         model = best_model(preset, lambda m: particle_paths(m, sampled), few)
-        found[f"ffbs {preset}"] = particle_paths(model, effort.smoother_particles)
+        found[f"ffbs {preset}"] = particle_paths(model, of_smoother)
     for preset in PRESETS:
         found[f"smoother {preset}"] = offline(best_model(preset, offline))
     return found
@@ -292,12 +274,11 @@ def _windows(
 
 
 def _parts(settings: Settings) -> Parts:
-    effort = QUICK if settings.quick else FULL
     runs = 2 * (len(ONLINE) + len(OFFLINE))
     settings.expect((FITS + runs) * (2 if settings.recording(*MOCAP) else 1))
     found = []
     for case in cases(settings):
-        methods = fitted(case.training, effort, settings.progress)
+        methods = fitted(case.training, settings)
         hidden = [(withhold(t, w, ("head", "head_kappa")), w) for t, w in case.judged]
         for head, pairs in (("visible", case.judged), ("hidden", hidden)):
             errors = {}
@@ -330,8 +311,8 @@ def _parts(settings: Settings) -> Parts:
         "tracks, the head visible. In joint-intentional the head steers the velocity as in intentional."
     )
     yield (
-        f"{effort.particles:,} particles online and {effort.smoother_particles:,} in ffbs, the particle "
-        "smoother: after a gap few of them can have led to what came next."
+        f"{PARTICLES:,} particles online and {settings.few(SMOOTHER_PARTICLES, PARTICLES):,} in ffbs, the "
+        "particle smoother: after a gap few of them can have led to what came next."
     )
 
 

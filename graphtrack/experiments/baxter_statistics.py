@@ -111,20 +111,6 @@ def head_deviation(track: Track, *, window: int = WINDOW_FRAMES) -> FloatArray:
     return np.where(moves, difference(direction(velocity), track.head), np.nan)
 
 
-def deviation(track: Track) -> tuple[float, float]:
-    """Circular mean and spread (radians) of the direction of travel minus the head, where people move."""
-    return _mean_and_spread(head_deviation(track))
-
-
-def _mean_and_spread(angles: FloatArray) -> tuple[float, float]:
-    """Circular mean of the finite angles and their root mean square about it; NaN without any."""
-    known = angles[np.isfinite(angles)]
-    if not len(known):
-        return float("nan"), float("nan")
-    mean = float(circmean(known, high=np.pi, low=-np.pi))
-    return mean, float(np.sqrt(np.mean(difference(known, mean) ** 2)))
-
-
 def future_share(tracks: Iterable[Track]) -> float:
     """The greatest share, over lags of 1 to `FUTURE_LAGS` frames, of heads that equal the direction ahead.
 
@@ -156,14 +142,14 @@ def deviation_statistics(
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
         return None
-    mean, std = _mean_and_spread(pooled)
+    mean = float(circmean(pooled, high=np.pi, low=-np.pi))
     counts = np.histogram(pooled, HISTOGRAM_EDGES)[0]
     return DeviationStatistics(
         name=name,
         people=sum(bool(len(own)) for own in deviations),
         frames=len(pooled),
         mean=mean,
-        std=std,
+        std=float(np.sqrt(np.mean(difference(pooled, mean) ** 2))),
         density=counts / (counts.sum() * np.diff(HISTOGRAM_EDGES)),
         future=future_share(tracks),
     )

@@ -38,7 +38,7 @@ from graphtrack.experiments.harness import (
     Table,
     evenly,
 )
-from graphtrack.geometry.angles import FloatArray, class_centres
+from graphtrack.geometry.angles import FloatArray, class_centres, likelihood_at
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
@@ -109,27 +109,16 @@ def in_image(track: Track, camera: GroundCamera) -> Track:
 
 def turned_to_world(track: Track, camera: GroundCamera) -> Track:
     """The track with its image likelihoods turned to the world, once, at the observed positions."""
-    return replace(
-        track,
-        body_likelihood=_turned(track.body_likelihood, track.position, camera),
-        head_likelihood=_turned(track.head_likelihood, track.position, camera),
-    )
 
+    def turned(likelihood: FloatArray | None) -> FloatArray | None:
+        if likelihood is None:
+            return None
+        centres = [np.full(len(track), centre) for centre in class_centres(likelihood.shape[1])]
+        angle = np.stack([camera.image_angle(centre, track.position) for centre in centres], axis=1)
+        return likelihood_at(likelihood, angle)
 
-def _turned(likelihood: FloatArray | None, position: FloatArray, camera: GroundCamera) -> FloatArray | None:
-    """Likelihoods (n, k) of the world's classes, interpolated linearly between the image's (n, k)."""
-    if likelihood is None:
-        return None
-    count = likelihood.shape[1]
-    observed_errors = np.stack(
-        [camera.image_angle(np.full(len(likelihood), c), position) for c in class_centres(count)]
-    )
-    place = np.mod(observed_errors.T, 2.0 * np.pi) * count / (2.0 * np.pi)
-    lower = np.floor(place).astype(int)
-    share = place - lower
-    first, second = (np.take_along_axis(likelihood, (lower + k) % count, axis=1) for k in (0, 1))
-    found = (1.0 - share) * first + share * second
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+    body, head = turned(track.body_likelihood), turned(track.head_likelihood)
+    return replace(track, body_likelihood=body, head_likelihood=head)
 
 
 LAG = 2.0

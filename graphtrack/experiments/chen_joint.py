@@ -15,7 +15,7 @@ import numpy as np
 from scipy import integrate, optimize
 
 from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.evaluation.metrics import bootstrap
+from graphtrack.evaluation.metrics import angular_error, bootstrap
 from graphtrack.experiments.harness import (
     ASKANCE,
     ISAM2,
@@ -43,7 +43,6 @@ from graphtrack.geometry.angles import (
     FloatArray,
     class_centres,
     difference,
-    mean_absolute_error,
     von_mises_log_density,
 )
 from graphtrack.model import Model
@@ -92,10 +91,7 @@ class Scores:
 
 def errors_of(estimate: Track, track: Track) -> list[float]:
     """Mean errors of body and head in degrees."""
-    return [
-        float(np.degrees(mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))))
-        for angle in ANGLES
-    ]
+    return [angular_error(estimate, track, angle) for angle in ANGLES]
 
 
 def by_angle(

@@ -116,6 +116,19 @@ def class_centres(n_classes: int) -> FloatArray:
     return 2.0 * np.pi * np.arange(n_classes) / n_classes
 
 
+def likelihood_at(likelihood: FloatArray, angle: FloatArray, first: float = 0.0) -> FloatArray:
+    """Return likelihoods at angles (n, k) in radians, interpolated between classes (n, m); rows sum to 1.
+
+    The classes are those of `class_centres`, or begin at ``first`` radians.
+    """
+    count = likelihood.shape[1]
+    place = np.mod(angle - first, 2.0 * np.pi) * count / (2.0 * np.pi)
+    lower = np.floor(place).astype(np.int64)
+    one, next_one = (np.take_along_axis(likelihood, (lower + k) % count, axis=1) for k in (0, 1))
+    found = (1.0 - (place - lower)) * one + (place - lower) * next_one
+    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+
+
 def class_kappa(n_classes: int) -> float:
     """Concentration of one class: σ is half the distance of the centres.
 

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_softmax
 
-from graphtrack.geometry.angles import FloatArray, difference
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Model
 from perception.adaptation.labels import Window, cut, in_patch, of_patch
-from perception.images.pixels import Image, grey
+from perception.images.pixels import Image, grey, suppressed
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import fit_temperature_and_share, reliability, with_neighbours
+from perception.pose.classifier import fit_temperature_and_share, with_neighbours
 from perception.pose.features import BINS
 from perception.pose.head_detection import HeadCandidates
 
@@ -142,12 +142,11 @@ class HeadTemplates:
     def candidates(self, patch: Image, most: int = 3) -> HeadCandidates:
         """Return heads in a patch, best first, in heights of the box from the middle of its top."""
         scores = self.scores(patch)
-        left = np.argsort(-scores, kind="stable")
-        kept: list[int] = []
-        while len(left) and len(kept) < most:
-            best = int(left[0])
-            kept.append(best)
-            left = left[np.maximum(np.abs(_X[left] - _X[best]), np.abs(_Y[left] - _Y[best])) > 2]
+
+        def near(k: int, left: NDArray[np.int64]) -> NDArray[np.bool_]:
+            return np.maximum(np.abs(_X[left] - _X[k]), np.abs(_Y[left] - _Y[k])) <= 2
+
+        kept = suppressed(scores, near, most)
         size = np.array([HEAD_WIDTH, HEAD_HEIGHT])
         boxes = np.hstack([_HEAD_POSITIONS[kept] - size / 2.0, np.broadcast_to(size, (len(kept), 2))])
         return HeadCandidates(boxes, scores[kept])
@@ -349,29 +348,9 @@ def _of_both(
     return np.asarray(0.5 * (log_softmax(scores, axis=1) + log_softmax(of_mirror, axis=1)[:, _MIRROR]), float)
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Output of models for held-out people.
-
-    Attributes
-    ----------
-    log_likelihood : (n, 8) calibrated, also on held-out people
-    """
-
-    log_likelihood: FloatArray
-
-    def errors(self, angle: FloatArray) -> FloatArray:
-        """Return the error (n,) in radians against an angle (n,)."""
-        return np.abs(difference(CLASSES.mean_pan(self.log_likelihood), angle))
-
-    def loss(self, angle: FloatArray) -> float:
-        """Mean negative log likelihood of the true class."""
-        rows = np.arange(len(angle))
-        return -float(self.log_likelihood[rows, CLASSES.index(angle)].mean())
-
-    def calibration_error(self, angle: FloatArray) -> float:
-        """Expected calibration error."""
-        return reliability(self.log_likelihood, CLASSES.index(angle)).expected_calibration_error
+def loss(log_likelihood: FloatArray, angle: FloatArray) -> float:
+    """Return the mean negative log likelihood (n, 8) of the true class, for angles (n,) in radians."""
+    return -float(log_likelihood[np.arange(len(angle)), CLASSES.index(angle)].mean())
 
 
 def folds_of(person: NDArray[np.int64], rng: np.random.Generator, most: int = _FOLDS) -> NDArray[np.int64]:
@@ -386,8 +365,8 @@ def fit_directions(
     angle: FloatArray,
     person: NDArray[np.int64],
     fold: NDArray[np.int64],
-) -> tuple[DirectionModel, HeldOut]:
-    """Fit a model to all people, and return held-out outputs for each person.
+) -> tuple[DirectionModel, FloatArray]:
+    """Fit a model to all people, and return the calibrated log likelihoods (n, 8) of held-out people.
 
     Parameters
     ----------
@@ -408,7 +387,7 @@ def fit_directions(
             scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
     observed = observed_directions(label, person)
     found = [_honest(one, observed, label, fold) for one in scores]
-    best = int(np.argmin([one.loss(angle) for one in found]))
+    best = int(np.argmin([loss(one, angle) for one in found]))
     weight, bias = everybody.discriminant(sign, _SHRINKAGES[best])
     calibration = fit_temperature_and_share(scores[best], label)
     return DirectionModel(weight, bias, *calibration, observed), found[best]
@@ -422,14 +401,14 @@ def observed_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> 
 
 def _honest(
     scores: FloatArray, observed: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
-) -> HeldOut:
+) -> FloatArray:
     """Calibrate scores (n, 8) on people of the other folds."""
     result = np.empty_like(scores)
     for k in np.unique(fold).tolist():
         rest = fold != k
         values = fit_temperature_and_share(scores[rest], label[rest])
         result[~rest] = calibrated(scores[~rest], *values, observed)
-    return HeldOut(result)
+    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,7 +185,6 @@ class WalkingLabels:
     box : (n,) index of the box
     person : (n,) number of the track
     angle : (n,) radians, direction of travel in the image frame: 0 is towards the camera
-    std : (n,) radians, 1-σ of ``angle``
     tracks : number of all tracks, walking or not
     count : (n,) number of boxes represented by each
     """
@@ -193,7 +192,6 @@ class WalkingLabels:
     box: NDArray[np.int64]
     person: NDArray[np.int64]
     angle: FloatArray
-    std: FloatArray
     tracks: int
     count: FloatArray
 
@@ -202,16 +200,15 @@ class WalkingLabels:
 
     def taken(self, rows: NDArray[np.int64]) -> WalkingLabels:
         """Return a subset of the labels."""
-        parts = {name: getattr(self, name)[rows] for name in ("box", "person", "angle", "std", "count")}
+        parts = {name: getattr(self, name)[rows] for name in ("box", "person", "angle", "count")}
         return WalkingLabels(**parts, tracks=self.tracks)
 
     @classmethod
     def joined(cls, parts: Sequence[Sequence[NDArray[Any]]], tracks: int) -> WalkingLabels:
-        """Join labels of pieces with (box, person, angle, std) each, with counts of 1."""
+        """Join labels of pieces with (box, person, angle, count) each."""
         columns = zip(*parts, strict=True) if parts else [[np.zeros(0)]] * 4
-        box, person, angle, std = (np.concatenate(column) for column in columns)
-        unit_column = np.ones(len(box))
-        return cls(box.astype(np.int64), person.astype(np.int64), angle, std, tracks, unit_column)
+        box, person, angle, count = (np.concatenate(column) for column in columns)
+        return cls(box.astype(np.int64), person.astype(np.int64), angle, tracks, count)
 
 
 def walking_labels(
@@ -276,7 +273,8 @@ def _of_walkers(tracks: TrackSet, camera: GroundCamera) -> WalkingLabels:
         if int(np.isfinite(rows).sum()) < _LEAST_BOXES:
             continue
         angle = camera.image_angle(direction(track.velocity), track.position)
-        found.append((rows[sure], np.full(int(sure.sum()), track.track_id), angle[sure], deviation[sure]))
+        boxes = rows[sure]
+        found.append((boxes, np.full(len(boxes), track.track_id), angle[sure], np.ones(len(boxes))))
     return WalkingLabels.joined(found, len(tracks))
 
 

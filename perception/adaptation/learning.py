@@ -22,12 +22,12 @@ from perception.adaptation.directions import (
     DirectionModel,
     HeadSamples,
     HeadTemplates,
-    HeldOut,
     class_outlier_probability,
     crop_of,
     fit_directions,
     folds_of,
     head_of_crop,
+    loss,
 )
 from perception.adaptation.labels import (
     ABOVE,
@@ -46,7 +46,7 @@ from perception.ground.upright import LeaningView
 from perception.images.frames import Clock, FrameSource, Progress, seconds
 from perception.images.pixels import Image, crop
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-from perception.pose.classifier import FeatureClassifier
+from perception.pose.classifier import FeatureClassifier, reliability
 from perception.pose.head_detection import HeadLocaliser, select_along_track
 from perception.storage import ModelCard
 
@@ -90,13 +90,13 @@ _VIEWS = {"body": BODY, "head": HEAD}
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """Models by part, fitted with heads at given positions, and their outputs for held-out people."""
+    """Models by part, fitted with heads at given positions, and log likelihoods (n, 8) of held-out people."""
 
     models: dict[str, DirectionModel]
-    outputs: dict[str, HeldOut]
+    outputs: dict[str, FloatArray]
 
     def loss(self, angle: FloatArray) -> float:
-        return sum(out.loss(angle) for out in self.outputs.values())
+        return sum(loss(out, angle) for out in self.outputs.values())
 
 
 class TooFewWalkers(InputError):
@@ -239,10 +239,10 @@ def _of_package(
 
 
 def _figures(found: _Attempt, labels: WalkingLabels, of: str) -> dict[str, float]:
-    both = HeldOut(np.sum([out.log_likelihood for out in found.outputs.values()], axis=0))
+    both = np.sum(list(found.outputs.values()), axis=0)
     figures = {}
     for name, out in (*found.outputs.items(), ("both", both)):
-        error = out.errors(labels.angle)
+        error = np.abs(difference(CLASSES.mean_pan(out), labels.angle))
         figures[f"{name}_error_deg{of}"] = float(np.rad2deg(error.mean()))
         if of:
             continue
@@ -250,7 +250,8 @@ def _figures(found: _Attempt, labels: WalkingLabels, of: str) -> dict[str, float
         each = [error[labels.person == one].mean() for one in np.unique(labels.person)]
         figures[f"{name}_error_deg_by_person"] = float(np.rad2deg(np.mean(each)))
         if name != "both":
-            figures[f"{name}_expected_calibration_error"] = out.calibration_error(labels.angle)
+            curve = reliability(out, CLASSES.index(labels.angle))
+            figures[f"{name}_expected_calibration_error"] = curve.expected_calibration_error
     return figures
 
 
@@ -259,7 +260,7 @@ def _card(
 ) -> ModelCard:
     people = len(np.unique(labels.person))
     description = f"the directions of travel of {people} walking people, in {length / 60.0:.1f} minutes"
-    parts = [out.log_likelihood for out in best.outputs.values()]
+    parts = list(best.outputs.values())
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
     parameters: dict[str, Any] = {
         "people": people,
@@ -364,9 +365,8 @@ def adapted(
 def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
     """Join labels of several recordings with different people."""
     start = np.append(0, _ends(walking))
-    parts = [(one.box, one.person + k, one.angle, one.std) for one, k in zip(walking, start, strict=False)]
-    found = WalkingLabels.joined(parts, sum(one.tracks for one in walking))
-    return replace(found, count=np.concatenate([one.count for one in walking]))
+    parts = [(one.box, one.person + k, one.angle, one.count) for one, k in zip(walking, start, strict=False)]
+    return WalkingLabels.joined(parts, sum(one.tracks for one in walking))
 
 
 def _ends(walking: Sequence[WalkingLabels]) -> NDArray[np.int64]:

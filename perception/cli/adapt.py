@@ -25,7 +25,7 @@ from perception.cli.options import (
     print_skipped,
     read_given_boxes,
 )
-from perception.cli.searching import PeopleSearch, search_journals
+from perception.cli.searching import PeopleSearch, search_journal
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -136,14 +136,6 @@ def check_adapt(streamed: bool, camera: Path | None, models: Sequence[object]) -
         raise InputError("--adapt with other models", "one of them")
 
 
-def stamp_of_camera(camera: GroundCamera | None) -> object:
-    """Return a key of a camera's parameters."""
-    if camera is None:
-        return None
-    values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)
-    return camera.lens, [None if value is None else value.tolist() for value in values]
-
-
 def _sentence(models: CameraModels) -> str:
     card = models.card
     errors = " and ".join(f"{card.figures[f'{part}_error_deg']:.0f}° ({part})" for part in ("body", "head"))
@@ -188,7 +180,7 @@ def adapt(
         )
     # Each recording has its own journals, so that an interrupted search continues.
     output_paths = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
-    journals = [path for place in output_paths for path in search_journals(place)]
+    journals = [search_journal(path) for path in output_paths]
     inputs = {"--boxes": boxes, **camera.files}
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:
@@ -208,11 +200,10 @@ def adapt(
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, output_paths, given, strict=True):
             clock = camera.clock(frames)
-            if of_recording is None:
-                search = PeopleSearch(frames, on_ground, clock, place, camera.stamps)
+            people = read_given_boxes(of_recording, frames, None, refuse)
+            if people is None:
+                search = PeopleSearch(frames, on_ground, clock, place)
                 people, _ = searches.enter_context(search.people(refuse))
-            else:
-                people = read_given_boxes(of_recording, frames, None, refuse)
             recordings.append(Recording(frames, people, clock))
         found = adapted(recordings, on_ground, PackageModels.load(), rng, progress_bar, refuse)
         found.models.save(output)

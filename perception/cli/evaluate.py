@@ -16,7 +16,7 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
-_TABLES = ("pose", "localisation", "recognition", "published", "keypoints")
+_TABLES = ("pose", "localisation", "published", "keypoints")
 _REAL = ("heads", "lobby", "street", "people")
 """Tables of recordings, made on request."""
 
@@ -35,12 +35,11 @@ def evaluate(
 
     Parameters
     ----------
-    tables : pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), localisation (Chen
-        et al. 2011, Table 1), recognition (Ba & Odobez 2003, Tables 1-3),
-        published (Chen et al.'s perception as published, and ours), keypoints (body and head from keypoints);
-        all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town Centre's
-        heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), people
-        (precision of detections in Town Centre).
+    tables : pose (errors and calibration of all classifiers), localisation (Chen et al. 2011, Table 1),
+        published (Chen et al.'s perception as published, and ours), keypoints (body and head from
+        keypoints); all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town
+        Centre's heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method),
+        people (precision of detections in Town Centre).
     count : Rendered images to evaluate on.
     train : Rendered images to train on: localisation, published.
     plot : Picture of reliability and confusion to write (.png).
@@ -78,14 +77,12 @@ def _rendered(
     from perception.models import load_keypoint_pose
 
     if name == "pose":
-        found, figure = classifiers.pose_tables(count, rng)
+        table, figure = classifiers.pose_table(count, rng)
         if plot is not None:
             save_figure(figure, plot, dpi=110)
-        return found
+        return [table]
     if name == "localisation":
         return [classifiers.localisation_table(count, train, rng)]
-    if name == "recognition":
-        return classifiers.recognition_tables(rng)
     if name == "published":
         return classifiers.published_tables(train, count, rng)
     return [classifiers.keypoint_table(load_keypoint_pose(), count, rng)]

@@ -15,7 +15,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import adapt_models, check_adapt, stamp_of_camera
+from perception.cli.adapt import adapt_models, check_adapt
 from perception.cli.options import (
     Boxes,
     CameraOptions,
@@ -29,6 +29,7 @@ from perception.cli.options import (
     print_written,
     read_given_boxes,
     stamp_of,
+    stamp_of_camera,
 )
 from perception.cli.searching import (
     NetworkOptions,
@@ -37,12 +38,13 @@ from perception.cli.searching import (
     find_keypoints,
     ground_search,
     look_at_people,
-    search_journals,
+    search_journal,
 )
 from perception.storage import key_of
 
 if TYPE_CHECKING:
-    from perception.detection.boxes import Detector, PersonBox
+    from perception.detection.boxes import Detections, PersonBox
+    from perception.detection.ground_search import GroundSearch
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observe.live import LiveObserver
@@ -157,7 +159,7 @@ def observe(
                 raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
     outputs: dict[str, Path | Sequence[Path] | None] = {
         "--output": output,
-        "the journals of --output": [*search_journals(output), *_output_paths(output)],
+        "the journals of --output": [search_journal(output), *_output_paths(output)],
         "--write-boxes": write_boxes_to,
     }
     check_output_paths(
@@ -170,9 +172,7 @@ def observe(
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}  # undecodable frames may be reported twice
     networks = network.load(frames)
-    if boxes is None and boxes_first_frame is not None:
-        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
-    given = None if boxes is None else read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
@@ -235,7 +235,7 @@ def _observe_file(
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
         if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
-            asked = (*options_of_camera.stamps, networks.asked)
+            asked = (networks.asked,)
             search = PeopleSearch(frames, camera, clock, output, asked, causal, one_size, networks.detector)
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:
@@ -294,25 +294,25 @@ def _stream(
     from graphtrack.streaming.session import give
     from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
     from perception.detection.hog import PeopleDetector
-    from perception.detection.rescoring import GroundDetector, PersonProbability
+    from perception.detection.rescoring import PersonProbability
 
     given, camera = boxes_by_frame(boxes or ()), observer.camera
-    detector: Detector | None = networks.detector
-    if detector is None and camera is None:
-        detector = PeopleDetector()
+    search: GroundSearch | None = None
+
+    def detected(image: Image) -> Detections:
+        nonlocal search
+        if networks.detector is not None or camera is None:
+            return (networks.detector or PeopleDetector()).detect(image)
+        search = search or ground_search(camera, image)
+        return PersonProbability.of_package(foreground=False).detections(search.candidates(image, None))
 
     def people_in(number: int, image: Image) -> list[PersonBox]:
-        nonlocal detector
         looked = {number: networks.look(number, image)} if networks.has_keypoints else None
         if boxes is None and looked is not None and networks.makes_boxes:
             return boxes_of(looked)
         people = given.get(number, [])
         if boxes is None:
-            if detector is None and camera is not None:
-                probability = PersonProbability.of_package(foreground=False)
-                detector = GroundDetector(ground_search(camera, image), probability)
-            assert detector is not None
-            people = boxes_of({number: detector.detect(image)})
+            people = boxes_of({number: detected(image)})
         return people if looked is None else with_keypoints(people, looked)
 
     for frame in frames:

@@ -67,11 +67,6 @@ class CameraOptions:
         """Return the files to read, by option name."""
         return {"--homography": self.homography, "--calibration": self.calibration}
 
-    @property
-    def stamps(self) -> tuple[object, object]:
-        """Return a key of the files' contents: path, size and time."""
-        return stamp_of(self.homography), stamp_of(self.calibration)
-
     def clock(self, frames: FrameSource) -> Clock:
         """Return the times of frames, from the requested rate or else from the video."""
         from perception.images.frames import Clock
@@ -93,14 +88,18 @@ class CameraOptions:
 
 
 def read_given_boxes(
-    boxes: Path, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
-) -> list[PersonBox]:
-    """Read the boxes of a recording, and print a note on how their frame numbers are matched.
+    boxes: Path | None, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
+) -> list[PersonBox] | None:
+    """Read the boxes of a recording, if any, and print a note on how their frame numbers are matched.
 
     ``named``: number of the recording's first frame in the file; None: see `read_boxes`
     """
     from perception.detection.boxes import read_boxes
 
+    if boxes is None:
+        if named is not None:
+            raise InputError("--boxes-first-frame without --boxes", "both, or neither")
+        return None
     return read_boxes(
         boxes, refuse, first=frames.first, named=named, note=lambda line: emit(f"  note: {line}")
     )
@@ -112,6 +111,14 @@ def stamp_of(path: Path | None) -> object:
         return None
     state = path.stat()
     return str(path), state.st_size, state.st_mtime_ns
+
+
+def stamp_of_camera(camera: GroundCamera | None) -> object:
+    """Return a key of a camera's parameters."""
+    if camera is None:
+        return None
+    values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)
+    return camera.lens, [None if value is None else value.tolist() for value in values]
 
 
 def check_output_paths(

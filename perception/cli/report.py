@@ -13,7 +13,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight, adapt_models, described, stamp_of_camera
+from perception.cli.adapt import PersonHeight, adapt_models, described
 from perception.cli.observe import ModelOptions
 from perception.cli.options import (
     Boxes,
@@ -22,6 +22,7 @@ from perception.cli.options import (
     VideoOrFolder,
     read_given_boxes,
     skipped,
+    stamp_of_camera,
 )
 from perception.cli.searching import PeopleSearch, look_at_people
 
@@ -83,12 +84,8 @@ def report(
     known = camera.on_ground()
     if known is not None:
         check_camera(known, frames.size())
-    if boxes is None and boxes_first_frame is not None:
-        raise InputError("--boxes-first-frame without --boxes", "both, or neither")
     refused: dict[str, None] = {}
-    given = None
-    if boxes is not None:
-        given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
     folder = ReportFolder(output, _STAGES, lambda words: emit(words))
     folder.open()
     run = _Run(folder, frames, camera.clock(frames), known, person_height, seed)
@@ -147,9 +144,7 @@ class _Run:
             if given is not None:
                 detected.unlink(missing_ok=True)
                 return [f"{len(given)} boxes of {boxes}", *skipped(dict.fromkeys(left_out))]
-            search = PeopleSearch(
-                self.frames, self.known, self.clock, detected, (stamp_of_camera(self.known),)
-            )
+            search = PeopleSearch(self.frames, self.known, self.clock, detected)
             with search.people(refused.setdefault) as (found, _):
                 if not found:
                     nobody = "a recording without detections of people"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -20,7 +20,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file
 from graphtrack.io.registry import FORMATS
 from graphtrack.tracks.table import Rows, check_rows
-from perception.images.pixels import Image, intersection_over_union
+from perception.images.pixels import intersection_over_union
 from perception.pose.keypoints import (
     ANKLES,
     BY_NUMBER,
@@ -177,14 +177,6 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.scores)
-
-
-class Detector(Protocol):
-    """Interface of detectors of people in an image."""
-
-    def detect(self, image: Image) -> Detections:
-        """Return the people of an image, best first."""
-        ...
 
 
 _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes

@@ -26,7 +26,7 @@ from perception.detection.hog import (
     resized,
     window_at,
 )
-from perception.images.pixels import Image
+from perception.images.pixels import Image, suppressed
 
 LEAN = 0.5
 """Largest lateral shift of the head, in heights, of a person treated as upright in the image."""
@@ -233,10 +233,6 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.score)
 
-    def taken(self, rows: NDArray[np.int64]) -> Candidates:
-        """Return a subset of the candidates."""
-        return Candidates(self.foot[rows], self.height[rows], self.score[rows], self.features[rows])
-
     def scored(self, score: FloatArray) -> Candidates:
         """Return the candidates with other scores (n,)."""
         return replace(self, score=score)
@@ -331,15 +327,12 @@ def strongest(
     apart : metres to the side and upwards, half axes of an ellipse in the upright plane at the person
     most : largest number of results; None: all
     """
-    alive, kept = np.ones(len(score), bool), []
-    for k in np.argsort(-score, kind="stable").tolist():
-        if alive[k]:
-            kept.append(k)
-            if len(kept) == most:
-                break
-            away = (foot - foot[k]) * (_PERSON / height[k]) / np.array(apart)
-            alive &= np.einsum("nk,nk->n", away, away) >= 1.0
-    return np.array(kept, np.int64)
+
+    def near(k: int, left: NDArray[np.int64]) -> NDArray[np.bool_]:
+        away = (foot[left] - foot[k]) * (_PERSON / height[k]) / np.array(apart)
+        return np.asarray(np.einsum("nk,nk->n", away, away) < 1.0)
+
+    return np.array(suppressed(score, near, most), np.int64)
 
 
 def joined(candidates: Candidates, apart: tuple[float, float] = APART) -> Candidates:

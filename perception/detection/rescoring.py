@@ -20,19 +20,16 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
-from perception.detection.background import Background
 from perception.detection.boxes import Detections
 from perception.detection.ground_search import (
     APART,
     FEATURES,
     Candidates,
-    GroundSearch,
     joined,
     strongest,
 )
 from perception.detection.hog import foot_boxes
 from perception.images.frames import Clock, seconds
-from perception.images.pixels import Image
 
 _PARTS = 3  # folds of frames
 _LEAST_DETECTIONS = 3  # least detections in other frames, for a track to predict a position
@@ -192,6 +189,12 @@ class PersonProbability:
         linear = candidates.features.astype(np.float32) @ self.weight + self.bias
         log_odds = self.first * candidates.score + self.adapted * linear + self.offset
         return np.asarray(expit(log_odds) if self.certainty is None else self.certainty.of(log_odds), float)
+
+    def detections(self, candidates: Candidates) -> Detections:
+        """Return the candidates of a frame with non-negative log odds, best first."""
+        best = joined(candidates.scored(self.of(candidates)))
+        kept = best.score >= self.even
+        return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])
 
 
 def adapt_to_recording(
@@ -363,30 +366,3 @@ def learning_frames(numbers: Sequence[int], fps: float) -> list[int]:
     length = _FRAMES // _RUNS * step
     starts = [(2 * k + 1) * len(numbers) // (2 * _RUNS) - length // 2 for k in range(_RUNS)]
     return [number for start in starts for number in numbers[start : start + length : step]]
-
-
-@dataclass(frozen=True, eq=False)
-class GroundDetector:
-    """Detector of people of a plausible height on the ground.
-
-    Attributes
-    ----------
-    search : search for candidates
-    probability : probability of a candidate
-    background : background model; None: not known
-    """
-
-    search: GroundSearch
-    probability: PersonProbability
-    background: Background | None = None
-
-    def detect(self, image: Image) -> Detections:
-        """Return people with their probabilities, best first."""
-        return self.chosen(self.search.candidates(image, self.background))
-
-    def chosen(self, candidates: Candidates) -> Detections:
-        """Return the candidates of a frame with non-negative log odds."""
-        scored = candidates.scored(self.probability.of(candidates))
-        best = joined(scored)
-        kept = best.score >= self.probability.even
-        return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])

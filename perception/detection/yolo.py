@@ -36,45 +36,23 @@ from perception.pose.keypoints import BY_NUMBER, KNOWN, in_coco_order
 _GREY = (114, 114, 114)
 
 
-@dataclass(frozen=True)
-class Letterbox:
-    """Placement of an image in the middle of a network's input, with its aspect ratio kept.
+def letterboxed(image: Image, size: tuple[int, int]) -> tuple[NDArray[np.float32], float, FloatArray]:
+    """Place an image in the middle of a network's input of columns and rows, with its aspect ratio kept.
 
-    Attributes
-    ----------
-    image, size : columns and rows of the image and of the input
+    Returns
+    -------
+    The input (1, 3, rows, columns), red, green, blue from 0 to 1; its pixels per pixel of the image; and the
+    margin (2,) in columns to the left and rows above. Right and below may have one more.
     """
-
-    image: tuple[int, int]
-    size: tuple[int, int]
-
-    @property
-    def scale(self) -> float:
-        """Pixels of the input per pixel of the image."""
-        return min(self.size[0] / self.image[0], self.size[1] / self.image[1])
-
-    @property
-    def shown(self) -> tuple[int, int]:
-        """Columns and rows of the image in the input."""
-        width, height = (max(1, round(side * self.scale)) for side in self.image)
-        return min(width, self.size[0]), min(height, self.size[1])
-
-    @property
-    def margin(self) -> tuple[int, int]:
-        """Padding in columns to the left and rows above; right and below may have one more."""
-        return (self.size[0] - self.shown[0]) // 2, (self.size[1] - self.shown[1]) // 2
-
-    def applied(self, image: Image) -> NDArray[np.float32]:
-        """Return the network's input (1, 3, rows, columns): red, green, blue from 0 to 1."""
-        (left, top), (width, height) = self.margin, self.shown
-        right, bottom = self.size[0] - width - left, self.size[1] - height - top
-        small = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
-        padded = cv2.copyMakeBorder(small, top, bottom, left, right, cv2.BORDER_CONSTANT, value=_GREY)
-        return np.asarray(cv2.dnn.blobFromImage(padded, 1.0 / 255.0, swapRB=True), np.float32)
-
-    def back(self, image_points: FloatArray) -> FloatArray:
-        """Convert positions (..., 2) of the input to pixels of the image."""
-        return np.asarray((image_points - np.array(self.margin)) / self.scale, float)
+    (columns, rows), (h, w) = size, image.shape[:2]
+    scale = min(columns / w, rows / h)
+    width, height = min(max(1, round(w * scale)), columns), min(max(1, round(h * scale)), rows)
+    left, top = (columns - width) // 2, (rows - height) // 2
+    right, bottom = columns - width - left, rows - height - top
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+    padded = cv2.copyMakeBorder(small, top, bottom, left, right, cv2.BORDER_CONSTANT, value=_GREY)
+    values = np.asarray(cv2.dnn.blobFromImage(padded, 1.0 / 255.0, swapRB=True), np.float32)
+    return values, scale, np.array([left, top], float)
 
 
 Kind = Literal["anchors", "cells", "selected"]
@@ -249,7 +227,7 @@ class YoloNetwork:
         self.size = _input_size(self._session.get_inputs(), notes, size, self.path)
         self.person = _person(names, person, self.path)
         blank = np.full((self.size[1], self.size[0], 3), 114, np.uint8)
-        outputs = self._run(Letterbox(self.size, self.size).applied(blank))
+        outputs = self._run(letterboxed(blank, self.size)[0])
         # The first output of three dimensions: YOLOv5 also returns its cells, and others return masks.
         self._output = next((k for k, values in enumerate(outputs) if values.ndim == 3), 0)
         self.layout: Layout = layout_of(
@@ -275,11 +253,11 @@ class YoloNetwork:
 
     def detect(self, image: Image) -> Detections:
         """Return the people of an image (h, w, 3) uint8, best first."""
-        box = Letterbox((image.shape[1], image.shape[0]), self.size)
-        output = self._run(box.applied(image))[self._output]
+        values, scale, margin = letterboxed(image, self.size)
+        output = self._run(values)[self._output]
         corners, scores, points = self.layout.decoded(output, self.person, self.least)
         order = np.argsort(-scores, kind="stable")[:_MOST]
-        ends = np.clip(box.back(corners[order].reshape(-1, 2, 2)), 0.0, box.image)
+        ends = np.clip((corners[order].reshape(-1, 2, 2) - margin) / scale, 0.0, image.shape[1::-1])
         boxes = np.hstack([ends[:, 0], ends[:, 1] - ends[:, 0]])
         good = (boxes[:, 2:] >= 1.0).all(axis=1)
         order, boxes = order[good], boxes[good]
@@ -288,7 +266,7 @@ class YoloNetwork:
             order, boxes = order[kept], boxes[kept]
         if points is not None:
             points = points[order]
-            image_points = np.where(points[..., 2:] > 0.0, box.back(points[..., :2]), 0.0)
+            image_points = np.where(points[..., 2:] > 0.0, (points[..., :2] - margin) / scale, 0.0)
             points = np.concatenate([image_points, points[..., 2:]], axis=2)
         return Detections(boxes, scores[order], points)
 

@@ -1,7 +1,7 @@
 """Measures of pose classifiers on rendered people.
 
 Reliability and confusion; the last layer retrained on a part of the heads (Baxter et al. 2014, §III-C,
-Fig. 3); recognition of nine pans (Ba & Odobez 2003, Tables 1 to 3); keypoints; and Chen et al.'s (2011)
+Fig. 3); recognition of nine pans (Ba & Odobez 2003); keypoints; and Chen et al.'s (2011)
 published forms compared with ours.
 """
 
@@ -259,25 +259,6 @@ def recognition_table(
     return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
 
 
-def recognition_tables(rng: np.random.Generator) -> Iterator[Table]:
-    """Yield Ba & Odobez's Tables 1 to 3 on rendered heads."""
-    for title, people, exemplars, repetitions in (
-        ("34 people train, 34 test (Ba & Odobez 2003, Table 1)", 68, (1, 2), 1),
-        ("70 people train, 70 test, 5 splits (Ba & Odobez 2003, Table 3)", 140, (1, 2, 3, 4), 5),
-    ):
-        rows, confusion = recognition_table(people, exemplars, rng, repetitions=repetitions)
-        yield Table.of(f"Recognition of 9 pans: {title}", rows)
-        if repetitions == 1:
-            pans = [f"{degree:g}" for degree in np.arange(-90.0, 91.0, 22.5)]
-            yield Table.of(
-                "Confusion in percent, 2 exemplars, saturated (Ba & Odobez 2003, Table 2)",
-                [
-                    {"true_deg": pan, **dict(zip(pans, row.tolist(), strict=True))}
-                    for pan, row in zip(pans, confusion, strict=True)
-                ],
-            )
-
-
 def _one_of_each(
     persons: list[Appearance], classes: PoseClasses, rng: np.random.Generator
 ) -> tuple[HeadSet, NDArray[np.int64]]:
@@ -379,11 +360,8 @@ def localisation_table(count: int, train: int, rng: np.random.Generator) -> Tabl
     return Table.of(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
 
 
-def pose_tables(count: int, rng: np.random.Generator) -> tuple[list[Table], Figure]:
-    """Compute errors, calibration and reliability of all classifiers on ``count`` rendered images each.
-
-    Also the confusion and the rates of the network (Baxter et al. 2014, Fig. 3).
-    """
+def pose_table(count: int, rng: np.random.Generator) -> tuple[Table, Figure]:
+    """Compute errors, calibration and reliability of all classifiers on ``count`` rendered images each."""
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
     near, far = make_pedestrians(count, rng), make_pedestrians(count, rng, FAR)
     sets: list[tuple[str, str, list[Image], FloatArray]] = []
@@ -401,17 +379,5 @@ def pose_tables(count: int, rng: np.random.Generator) -> tuple[list[Table], Figu
         scores.setdefault(name, result)
         degrees.setdefault(name, np.rad2deg(model.classes.pan))
         rows.append({"classifier": name, "images": what, **result.figures()})
-    confusion, names = scores["deep_belief"].confusion, degrees["deep_belief"]
-    percent = (100 * confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)).round()
-    confused: list[dict[str, Cell]] = [
-        {
-            "true_deg": f"{degree:.0f}",
-            **{f"{other:.0f}": int(value) for other, value in zip(names, row, strict=True)},
-            "TPR": float(hit),
-            "FPR": float(false_alarm),
-        }
-        for degree, row, hit, false_alarm in zip(names, percent, *class_rates(confusion), strict=True)
-    ]
-    title = "deep_belief, heads of 16-32 pixels: confusion in percent and rates (Baxter et al. 2014, Fig. 3)"
-    errors = Table.of(f"Errors and calibration on {count} rendered images each", rows)
-    return [errors, Table.of(title, confused)], reliability_figure(scores, degrees)
+    table = Table.of(f"Errors and calibration on {count} rendered images each", rows)
+    return table, reliability_figure(scores, degrees)

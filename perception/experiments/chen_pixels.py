@@ -8,21 +8,30 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from graphtrack.baselines.particle_filter import ParticleOptions, particle_filter
 from graphtrack.evaluation.metrics import bootstrap, mean_difference
 from graphtrack.experiments import chen_classes
 from graphtrack.experiments.chen_classes import scores
-from graphtrack.experiments.chen_joint import POSITION_STD, Scores, detail, draw_errors, published_table
+from graphtrack.experiments.chen_joint import (
+    ANGLES,
+    POSITION_STD,
+    WITH_FULL,
+    Scores,
+    by_angle,
+    detail,
+    draw_errors,
+    errors_of,
+    most_likely_error,
+    published_table,
+)
 from graphtrack.experiments.harness import (
-    ASKANCE,
+    GAITS,
     MOCAP,
-    TURNING,
-    WALKING,
     Cell,
     Experiment,
     Parts,
@@ -30,20 +39,30 @@ from graphtrack.experiments.harness import (
     Settings,
     Table,
     evenly,
-    quietly,
     thinned,
 )
 from graphtrack.geometry.angles import FloatArray, class_centres, difference, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
+from graphtrack.smoothing import track_online
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 from perception.drawing.overlays import Cues, draw_cues
-from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, joint_scores, people_of
 from perception.images.pixels import Image
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import Models
-from perception.pose.classes import PoseClasses, interpolated
+from perception.observe.pipeline import (
+    Models,
+    PersonObservation,
+    by_frame,
+    channels_of,
+    head_in_image,
+    is_on_ground,
+    observe_frame,
+)
+from perception.observe.tables import to_tracks
+from perception.pose.classes import PoseClasses, image_likelihood
 from perception.pose.classifier import FeatureClassifier
 from perception.synthetic import make_heads, make_pedestrians
 from perception.synthetic.clips import Clip, walking_clip
@@ -52,6 +71,157 @@ from perception.training import FOUND_AS_WALKING
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+
+
+LAG = 2.0
+"""Smoothing window of the online graphs in seconds, as in `graphtrack track`."""
+
+LEAST_FRAMES = 5
+"""Least number of frames of an evaluated person."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPerson:
+    """Observations of a person in a clip, in the three forms that methods take, and the ground truth.
+
+    Attributes
+    ----------
+    causal : likelihoods in the world, heads chosen from past frames only
+    offline : the same with heads chosen offline
+    image : as ``causal``, but the likelihoods are in the image
+    truth : of the same frames
+    camera : over the ground
+    boxes, head_boxes : (n, 4) pixels in the image, the heads those of ``causal``
+    """
+
+    causal: Track
+    offline: Track
+    image: Track
+    truth: Track
+    camera: GroundCamera
+    boxes: FloatArray
+    head_boxes: FloatArray
+
+
+Estimate = Callable[[ObservedPerson, Model, int], Track]
+"""Maps a person, a model and a seed to estimates at the person's frames."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """Method of estimation.
+
+    Attributes
+    ----------
+    group : "online" or "offline"
+    estimate : runs it
+    presets : presets to run
+    seeds : number of runs of a random method
+    """
+
+    group: str
+    estimate: Estimate
+    presets: tuple[str, ...] = WITH_FULL
+    seeds: int = 1
+
+
+def _particle(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return particle_filter(person.causal, model, camera=person.camera, seed=seed).track
+
+
+def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
+    """Run eq. 12 in pixels, eq. 13–14 with the closest class in the image, at each particle's position."""
+    options = ParticleOptions(pose="closest", image_pose=True)
+    return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
+
+
+def _online(person: ObservedPerson, model: Model, engine: Literal["chain", "isam2"]) -> Track:
+    return track_online(person.causal, model, engine=engine, lag=LAG, camera=person.camera)
+
+
+_SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter lacks the coupling modes of ``full``
+
+METHODS: Mapping[str, Method] = {
+    "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
+    "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
+    "graph, chain": Method("online", lambda person, model, seed: _online(person, model, "chain")),
+    "graph, isam2": Method("online", lambda person, model, seed: _online(person, model, "isam2")),
+    "smoother": Method(
+        "offline", lambda person, model, seed: smooth_track(person.causal, model, person.camera).track
+    ),
+    "smoother, heads of the whole track": Method(
+        "offline", lambda person, model, seed: smooth_track(person.offline, model, person.camera).track
+    ),
+}
+"""Online methods and the first smoother share observations; the last smoother has offline heads."""
+
+
+def observed_in_clip(clip: Clip, models: Models) -> list[PersonObservation]:
+    """Return the models' outputs for all people in a clip."""
+    people_observed: list[PersonObservation] = []
+    for k, image in enumerate(clip.images):
+        boxes = [item for item in clip.boxes if item.frame == k]
+        people_observed += observe_frame(image, k, boxes, models, lambda reason: None)
+    return people_observed
+
+
+def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
+    """Return the observations of a clip, as `perception observe` writes them."""
+    people_observed = observed_in_clip(clip, models)
+    return to_tracks(
+        by_frame(people_observed), models.head_pose.classes, clip.camera, clip.fps, causal=causal
+    ).tracks
+
+
+def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
+    """Return the people of a clip observed in at least `LEAST_FRAMES` frames."""
+    people_observed, classes = observed_in_clip(clip, models), models.head_pose.classes
+    if not people_observed:
+        return []
+    causal = to_tracks(by_frame(people_observed), classes, clip.camera, clip.fps, causal=True)
+    offline = to_tracks(by_frame(people_observed), classes, clip.camera, clip.fps).tracks
+    found = []
+    for track in causal.tracks:
+        if len(track) < LEAST_FRAMES:
+            continue
+        key, truth = track.track_id, clip.truth.by_id(track.track_id)
+        heads = causal.heads[key]
+        of_track = sorted(
+            (item for item in people_observed if item.track_id == key), key=lambda item: item.frame
+        )
+        items = [item for item in of_track if is_on_ground(item, clip.camera)]
+        found.append(
+            ObservedPerson(
+                track,
+                offline.by_id(key),
+                Track(key, **channels_of(items, heads, classes, clip.camera, clip.fps, in_image=True)),
+                truth[np.searchsorted(truth.frame, track.frame)],
+                clip.camera,
+                np.array([item.box for item in items]),
+                np.array([head_in_image(item, k) for item, k in zip(items, heads.tolist(), strict=True)]),
+            )
+        )
+    return found
+
+
+def joint_scores(data: str, people: Sequence[ObservedPerson]) -> Scores:
+    """Return mean errors in degrees of each person by each of `METHODS`, and of single frames."""
+    found: dict[tuple[str, str, str], FloatArray] = {}
+    for name, heads in (("", "causal"), ("whole track", "offline")):
+        errors = [
+            [most_likely_error(getattr(person, heads), person.truth, angle) for angle in ANGLES]
+            for person in people
+        ]
+        found |= by_angle(("observation", name), errors)
+    for name, method in METHODS.items():
+        for preset in method.presets:
+            model = Model(preset)
+            of_seeds = [
+                [errors_of(method.estimate(person, model, seed), person.truth) for person in people]
+                for seed in range(method.seeds)
+            ]
+            found |= by_angle((preset, name), np.mean(of_seeds, axis=0))
+    return Scores(data, len(people), found)
 
 
 ROWS = (
@@ -64,44 +234,26 @@ _SPEED, _HEAD = "#666666", "#111111"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """Content of the drawn sheet.
+def shown_rows(person: ObservedPerson, columns: int = 6) -> list[int]:
+    """Return evenly spaced rows of a person's track, without the first."""
+    n = len(person.causal)
+    first = min(3, n - 1)
+    return np.linspace(first, n - 1, min(columns, n - first)).round().astype(int).tolist()
 
-    Attributes
-    ----------
-    clip : frames
-    people : evaluated people
-    columns : shown frames
+
+def draw_sheet(figure: SubFigure, clip: Clip, people: Sequence[ObservedPerson]) -> None:
+    """Draw a row of frames for each of `ROWS`, and a view from above of the joint filter's estimates.
+
+    The frames show the first person with the longest track.
     """
-
-    clip: Clip
-    people: list[ObservedPerson]
-    columns: int = 6
-
-    @property
-    def shown(self) -> ObservedPerson:
-        """Person drawn on the frames: the first with the longest track."""
-        return max(self.people, key=lambda person: len(person.causal))
-
-    @property
-    def rows(self) -> list[int]:
-        """Evenly spaced rows of the shown person's track, without the first."""
-        n = len(self.shown.causal)
-        first = min(3, n - 1)
-        count = min(self.columns, n - first)
-        return np.linspace(first, n - 1, count).round().astype(int).tolist()
-
-
-def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
-    """Draw a row of frames for each of `ROWS`, and a view from above of the joint filter's estimates."""
-    person, rows = sheet.shown, sheet.rows
+    person = max(people, key=lambda one: len(one.causal))
+    rows = shown_rows(person)
     grid = figure.subplots(len(ROWS) + 1, len(rows), squeeze=False)
     for line, (method, preset) in enumerate(ROWS):
         estimate = METHODS[method].estimate(person, Model(preset), 0)
         for column, row in enumerate(rows):
             axes = grid[line, column]
-            picture, caption = cell(sheet, person, estimate, row)
+            picture, caption = cell(clip, person, estimate, row)
             axes.imshow(picture[:, :, ::-1])
             axes.set_xticks([])
             axes.set_yticks([])
@@ -109,7 +261,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
             if line == 0:
                 axes.set_title(f"t = {person.causal.t[row]:.1f} s", fontsize=9)
         grid[line, 0].set_ylabel(f"{method}, {preset}", fontsize=9)
-    found = [METHODS["particle"].estimate(one, Model("joint"), 0) for one in sheet.people]
+    found = [METHODS["particle"].estimate(one, Model("joint"), 0) for one in people]
     for column, row in enumerate(rows):
         _from_above(grid[-1, column], found, float(person.causal.t[row]))
         grid[-1, column].set_xlabel("x (m)", fontsize=8)
@@ -130,7 +282,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
     )
 
 
-def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
+def cell(clip: Clip, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
     """Return the image of a frame, and a text with the errors of body and head."""
     observed, truth = person.causal, person.truth
     assert observed.body_likelihood is not None and observed.head_likelihood is not None
@@ -151,7 +303,7 @@ def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tup
     )
     assert cues.true is not None
     body, head = np.degrees(np.abs(difference(cues.estimated, cues.true)))
-    picture = draw_cues(sheet.clip.images[frame], cues, person.camera)
+    picture = draw_cues(clip.images[frame], cues, person.camera)
     return picture, f"off by {body:.0f}° body, {head:.0f}° head"
 
 
@@ -200,28 +352,14 @@ def _arrow(axes: Axes, start: FloatArray, along: FloatArray, colour: str, width:
     )
 
 
-LEVELS = ("down", "level", "up")
-"""Tilt classes, in the order of `PoseClasses`."""
-
-
-Answers = Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
-"""Classes (n,) of images of known poses, in the image frame, true and likeliest: of body, pan and tilt."""
-
-
 def captured_people(settings: Settings) -> dict[str, TrackSet]:
     """Return people by source, with noisy positions, at ten frames a second."""
-    count = 2 if settings.quick else 12
-    mocap = settings.recording(*MOCAP)
-    if mocap is None:
+    count, clips = settings.few(12, 2), settings.tracks(*MOCAP)
+    if clips is None:
         found = {"drawn from the joint model": simulate("joint", n_tracks=count, rng=settings.rng(20))}
     else:
-        clips = quietly(mocap)
-        sources = {"walking": (WALKING,), "turning": (TURNING,), "sideways and back": ASKANCE}
-        found = {
-            f"mocap, {name}": evenly(clips.select(*patterns).map(thinned), count, 2.0)
-            for name, patterns in sources.items()
-            if name == "walking" or not settings.quick
-        }
+        sources = list(GAITS.items())[: settings.few(len(GAITS))]
+        found = {name: evenly(clips.select(*of).map(thinned), count, 2.0) for name, of in sources}
     return {
         name: add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(21, i))
         for i, (name, tracks) in enumerate(found.items())
@@ -230,7 +368,7 @@ def captured_people(settings: Settings) -> dict[str, TrackSet]:
 
 def classified(
     track: Track, body: FeatureClassifier, head: FeatureClassifier, rng: np.random.Generator
-) -> tuple[Track, Answers]:
+) -> Track:
     """Return a person in front of a distant camera, with class likelihoods converted to the world.
 
     Each frame shows another rendered person in the same pose, so that errors are independent; boxes of heads
@@ -243,7 +381,7 @@ def classified(
     heads = make_heads(len(track), rng, FOUND_AS_WALKING, pan=at_head)
     of_body, of_head = body.log_likelihoods(crops), head.log_likelihoods(heads.images)
     pans = head.classes.pan_log_likelihood(of_head)
-    observed = replace(
+    return replace(
         track,
         body=None,
         body_kappa=None,
@@ -252,21 +390,11 @@ def classified(
         body_likelihood=_turned(body.classes.pan_log_likelihood(of_body), body.classes, BODY_CLASSES, ray),
         head_likelihood=_turned(pans, head.classes, HEAD_CLASSES, ray),
     )
-    n_pan, bodies = head.classes.n_pan, body.classes
-    true = head.classes.index(at_head, heads.tilt)
-    levels = of_head.reshape(len(track), -1, n_pan)
-    return observed, {
-        "body": (bodies.index(at_body), of_body.argmax(axis=1)),
-        "pan": (true % n_pan, pans.argmax(axis=1)),
-        "tilt": (true // n_pan, np.logaddexp.reduce(levels, axis=2).argmax(axis=1)),
-    }
 
 
 def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: float) -> FloatArray:
     """Convert likelihoods (n, n_pan) in the image to (n, wanted) in the world; rows sum to 1."""
-    at = np.broadcast_to(PoseClasses.circle(wanted).pan - ray, (len(log_likelihood), wanted))
-    found = interpolated(np.exp(log_likelihood), classes, at)
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+    return image_likelihood(log_likelihood, classes, replace(PoseClasses.circle(wanted), first=-ray))
 
 
 def known_poses(
@@ -275,41 +403,14 @@ def known_poses(
     head: FeatureClassifier,
     rng: np.random.Generator,
     progress: Callable[[int], object],
-) -> tuple[list[Scores], list[Answers]]:
-    """Compute errors of every method of `chen-classes`, by source, and return the classifiers' outputs."""
-    found, answers = [], []
+) -> list[Scores]:
+    """Compute errors of every method of `chen-classes`, by source."""
+    found = []
     for name, tracks in everyone.items():
-        observed = []
-        for track in tracks:
-            one, of_one = classified(track, body, head, rng)
-            observed.append(one)
-            answers.append(of_one)
-        found.append(scores(name, tracks.with_tracks(observed), lambda count: None))
+        observed = tracks.map(lambda track: classified(track, body, head, rng))
+        found.append(scores(name, observed, lambda count: None))
         progress(1)
-    return found, answers
-
-
-def confusions(answers: list[Answers], head: PoseClasses) -> Iterator[Table]:
-    """Yield confusions of body, pan and tilt, in per cent of the true class."""
-
-    def degrees(count: int) -> list[str]:
-        return [f"{360 * k // count}°" for k in range(count)]
-
-    for angle, title, names in (
-        ("body", "body, by `body_pose`", degrees(BODY_CLASSES)),
-        ("pan", "the head's pan", degrees(head.n_pan)),
-        ("tilt", "the head's tilt", list(LEVELS)),
-    ):
-        true, predicted = (
-            np.concatenate(each) for each in zip(*(one[angle] for one in answers), strict=True)
-        )
-        records: list[dict[str, Cell]] = []
-        for k, name in enumerate(names):
-            answered = np.bincount(predicted[true == k], minlength=len(names))
-            pictures = int(answered.sum())
-            shares = [100.0 * count / pictures if pictures else None for count in answered.tolist()]
-            records.append({"true": name, "pictures": pictures, **dict(zip(names, shares, strict=True))})
-        yield Table.of(f"Confusion in per cent of the true class: {title}", records)
+    return found
 
 
 HEADS = ("deep_belief", "templates")
@@ -341,13 +442,13 @@ def _parts(settings: Settings) -> Parts:
         for clip in clips:
             people += people_of(clip, models)
             if first is None and people:
-                first = Sheet(clip, list(people))
+                first = clip, list(people)
             settings.progress(1)
         found.append(joint_scores(name, people))
         settings.progress(1)
     assert first is not None
     body, head = load_classifier("body_pose"), load_classifier("templates")
-    posed, answers = known_poses(everyone, body, head, settings.rng(22), settings.progress)
+    posed = known_poses(everyone, body, head, settings.rng(22), settings.progress)
     rng = settings.rng(99)
     yield detail("Body and head from class likelihoods", found, GROUPS, rng)
     yield Table.of(
@@ -359,9 +460,8 @@ def _parts(settings: Settings) -> Parts:
         chen_classes.GROUPS,
         settings.rng(98),
     )
-    yield from confusions(answers, head.classes)
     yield published_table(found, GROUPS, PUBLISHED_TITLE)
-    yield _figure(found, first, rng)
+    yield _figure(found, *first, rng)
     yield (
         "Rendered people who walk as the model joint has it, three a clip, boxes off as a detector's are, "
         "heads by the localiser; each column has another classifier of heads, the bodies are the same."
@@ -405,7 +505,7 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
         pairs.append(("per frame", cost, ("observation", "whole track"), ("observation", "")))
         for method, what, after, before in pairs:
             row: dict[str, Cell] = {"data": one.data, "method": method, "difference": what}
-            for angle in ("body", "head"):
+            for angle in ANGLES:
                 interval = bootstrap(
                     mean_difference, one.errors[*after, angle], one.errors[*before, angle], rng=rng
                 )
@@ -414,7 +514,9 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
             yield row
 
 
-def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> Figure:
+def _figure(
+    found: Sequence[Scores], clip: Clip, people: Sequence[ObservedPerson], rng: np.random.Generator
+) -> Figure:
     from graphtrack.report.style import new_figure
 
     figure = new_figure(13.0, 18.1)
@@ -429,7 +531,7 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
         frameon=False,
         fontsize=8,
     )
-    draw_sheet(bottom, sheet)
+    draw_sheet(bottom, clip, people)
     return figure
 
 

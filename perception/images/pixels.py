@@ -123,12 +123,26 @@ def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
 
 def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
     """Apply non-maximum suppression to boxes (n, 4); return indices, best first."""
-    left = np.argsort(-scores, kind="stable")
-    kept = []
-    while len(left):
+    return suppressed(scores, lambda k, left: intersection_over_union(boxes[left], boxes[k]) > overlap)
+
+
+def suppressed(
+    scores: FloatArray,
+    near: Callable[[int, NDArray[np.int64]], NDArray[np.bool_]],
+    most: int | None = None,
+) -> list[int]:
+    """Return the candidates (n,) that are near no better one, best first.
+
+    Parameters
+    ----------
+    near : returns a mask of the candidates, given by indices (m,), that are near one of them
+    most : largest number of results; None: all
+    """
+    left, kept = np.argsort(-scores, kind="stable"), []
+    while len(left) and len(kept) != most:
         best = int(left[0])
         kept.append(best)
-        left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
+        left = left[~near(best, left)]
     return kept
 
 

@@ -46,13 +46,11 @@ class DetectionTable:
     ----------
     columns : of the native table, by name, in the order of frames; ``track_id`` is −1
     number : (n,) number of each row's box
-    camera : view of the ground
     refused : number of refused rows, by reason
     """
 
     columns: dict[str, NDArray[Any]]
     number: NDArray[np.int64]
-    camera: GroundCamera
     refused: Mapping[str, int]
 
 
@@ -102,7 +100,7 @@ def to_detections(
     track = _track(0, known | {"frame": place, "t": place.astype(float), "score": score})
     columns = to_columns(TrackSet((track,))) | at | {"track_id": np.full(len(number), -1, np.int64)}
     beyond = count - len(number)
-    return DetectionTable(columns, number, camera, {BEYOND_HORIZON: beyond} if beyond else {})
+    return DetectionTable(columns, number, {BEYOND_HORIZON: beyond} if beyond else {})
 
 
 def _channels(

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,10 @@ class BodyPose(FeatureClassifier):
 
     kind: ClassVar[str] = "body_pose"
     options = ("samples", "penalty", "projection", "floor", "calibrated")
+    stored: ClassVar = {
+        **dict.fromkeys(("mean", "projection", "dictionary"), (np.float32, float)),
+        "label": (np.uint8, np.int64),
+    }
 
     def __init__(
         self,
@@ -97,19 +101,3 @@ class BodyPose(FeatureClassifier):
         of_class = weights @ member
         share = of_class / np.maximum(of_class.sum(axis=1, keepdims=True), 1e-9)
         return np.asarray(np.log(np.maximum(share + self.floor, _LEAST)), float)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Mean, projection and dictionary with its labels."""
-        return {
-            "mean": self._mean.astype(np.float32),
-            "projection": self._projection.astype(np.float32),
-            "dictionary": self._dictionary.astype(np.float32),
-            "label": self._label.astype(np.uint8),
-        }
-
-    def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take over what `arrays` gave."""
-        self._mean = arrays["mean"].astype(float)
-        self._projection = arrays["projection"].astype(float)
-        self._dictionary = arrays["dictionary"].astype(float)
-        self._label = arrays["label"].astype(np.int64)

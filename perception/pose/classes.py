@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
-from graphtrack.geometry.angles import FloatArray, difference, direction, unit, wrap
+from graphtrack.geometry.angles import FloatArray, difference, direction, likelihood_at, unit, wrap
 from graphtrack.geometry.camera import GroundCamera
 
 TILT_EDGE = float(np.pi / 6.0)
@@ -110,7 +110,7 @@ def world_likelihood(
     """
     n = len(position)
     at = np.stack([camera.image_angle(np.full(n, pan), position) for pan in wanted.pan], axis=1)
-    return _likelihood_at(log_likelihood, classes, at)
+    return likelihood_at(np.exp(np.asarray(log_likelihood, float)), at, classes.first)
 
 
 def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
@@ -119,19 +119,4 @@ def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: Po
     Interpolation between the centres is linear. Rows sum to 1.
     """
     at = np.broadcast_to(wanted.pan, (len(np.asarray(log_likelihood)), wanted.n_pan))
-    return _likelihood_at(log_likelihood, classes, at)
-
-
-def _likelihood_at(log_likelihood: ArrayLike, classes: PoseClasses, angle: FloatArray) -> FloatArray:
-    found = interpolated(np.exp(np.asarray(log_likelihood, float)), classes, angle)
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
-
-
-def interpolated(values: FloatArray, classes: PoseClasses, angle: FloatArray) -> FloatArray:
-    """Interpolate values (n, n_pan) of classes of the whole circle at angles (n, k)."""
-    place = np.mod(angle - classes.first, 2.0 * np.pi) / classes.step
-    lower: NDArray[np.int64] = np.floor(place).astype(np.int64)
-    share = place - lower
-    first = np.take_along_axis(values, lower % classes.n_pan, axis=1)
-    second = np.take_along_axis(values, (lower + 1) % classes.n_pan, axis=1)
-    return np.asarray((1.0 - share) * first + share * second, float)
+    return likelihood_at(np.exp(np.asarray(log_likelihood, float)), at, classes.first)

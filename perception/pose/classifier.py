@@ -123,6 +123,8 @@ class FeatureClassifier(Stored):
 
     options: ClassVar[tuple[str, ...]] = ()
     """Arguments of the constructor, and attributes, that a file keeps."""
+    stored: ClassVar[Mapping[str, tuple[type, type]]] = {}
+    """Learned arrays, attributes ``_name``: type in the file and in memory."""
 
     def __init__(self, classes: PoseClasses, *, seed: int = 0, calibrated: bool = True) -> None:
         self.classes, self.seed, self.calibrated = classes, seed, calibrated
@@ -141,9 +143,14 @@ class FeatureClassifier(Stored):
     def scores(self, features: FloatArray) -> FloatArray:
         """Log likelihoods (n, n_classes) before calibration."""
 
-    @abstractmethod
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the learned arrays, for the file."""
+        return {name: getattr(self, f"_{name}").astype(kept) for name, (kept, _) in self.stored.items()}
+
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore the state from `arrays`."""
+        for name, (_, used) in self.stored.items():
+            setattr(self, f"_{name}", arrays[name].astype(used))
 
     def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
         """Fit to images (h, w, 3) or (h, w) uint8 and class indices (n,).

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, ndimage
 from scipy.special import j0
 
 from graphtrack.geometry.angles import FloatArray
@@ -278,10 +278,7 @@ class SkinColours:
         for count in (skin, other):
             smooth = count.reshape((SKIN_BINS,) * 3)
             for axis in range(3):
-                wide = np.moveaxis(
-                    np.pad(smooth, [(1, 1) if k == axis else (0, 0) for k in range(3)]), axis, 0
-                )
-                smooth = np.moveaxis(0.25 * wide[:-2] + 0.5 * wide[1:-1] + 0.25 * wide[2:], 0, axis)
+                smooth = ndimage.convolve1d(smooth, (0.25, 0.5, 0.25), axis, mode="constant")
             shares.append(smooth / max(smooth.sum(), 1e-12) + 1e-6)
         return cls(shares[0] / (shares[0] + shares[1]))
 

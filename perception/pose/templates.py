@@ -49,6 +49,10 @@ class Templates(FeatureClassifier):
 
     kind: ClassVar[str] = "templates"
     options = ("metric", "calibrated", "interpolated")
+    stored: ClassVar = {
+        **dict.fromkeys(("texture", "colour", "projection"), (np.float32, float)),
+        "weights": (float, float),
+    }
 
     def __init__(
         self,
@@ -136,22 +140,13 @@ class Templates(FeatureClassifier):
         return -np.einsum("f,nfk->nk", self._weights, self._distances(features))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Means, λ and the colours of skin."""
-        arrays: dict[str, NDArray[Any]] = {
-            "texture": self._texture.astype(np.float32),
-            "colour": self._colour.astype(np.float32),
-            "weights": self._weights,
-            "projection": self._projection.astype(np.float32),
-        }
-        if self.skin is not None:
-            arrays |= {"skin": self.skin.probability.astype(np.float32)}
-        return arrays
+        """Means, projection, λ and the colours of skin."""
+        skin = {} if self.skin is None else {"skin": self.skin.probability.astype(np.float32)}
+        return super().arrays() | skin
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore the state from `arrays`."""
-        self._texture, self._colour = arrays["texture"].astype(float), arrays["colour"].astype(float)
-        self._weights = arrays["weights"].astype(float)
-        self._projection = arrays["projection"].astype(float)
+        super().set_arrays(arrays)
         self.skin = SkinColours(arrays["skin"].astype(float)) if "skin" in arrays else None
 
 

@@ -24,12 +24,11 @@ from graphtrack.experiments.baxter_caviar import (
     labelled_stretch,
     outcomes,
     own_outcome,
-    relabelled_rate,
     shuffled,
     spread,
     with_noise,
 )
-from graphtrack.experiments.baxter_statistics import deviation, travel_velocity
+from graphtrack.experiments.baxter_statistics import deviation_statistics, travel_velocity
 from graphtrack.experiments.harness import GRAPHS, ISAM2, Fitted
 from graphtrack.geometry.angles import difference, direction, unit, wrap
 from graphtrack.model import Model
@@ -68,13 +67,13 @@ def test_who_is_not_detected_shows_no_head_and_the_truth_stays() -> None:
     np.testing.assert_array_equal(detected(track, 1.0, np.random.default_rng(1)).position, track.position)
 
 
-def test_how_often_heads_are_labelled_and_how_far_they_are_off() -> None:
+def test_how_far_heads_are_off() -> None:
     track = labelled_walk()
-    assert relabelled_rate(track) == pytest.approx(7 / 7.96, rel=1e-6)
     travel = direction(travel_velocity(track))
-    mean, std = deviation(replace(track, head=wrap(travel - 0.3)))
-    assert mean == pytest.approx(0.3) and std == pytest.approx(0.0, abs=1e-6)
-    assert np.isnan(deviation(replace(track, head=np.full(200, np.nan)))[0])
+    found = deviation_statistics([replace(track, head=wrap(travel - 0.3))], "one")
+    assert found is not None
+    assert found.mean == pytest.approx(0.3) and found.std == pytest.approx(0.0, abs=1e-6)
+    assert deviation_statistics([replace(track, head=np.full(200, np.nan))], "none") is None
 
 
 def test_shuffled_heads_keep_their_deviations() -> None:

@@ -100,7 +100,8 @@ QUICK = [
 )
 def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 0.5, "camera": CAMERA}
-    whole, stopped = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    whole = OnlineSmoother(preset, **options)
+    stopped = OnlineSmoother.from_state(through_json(whole.state()), preset, **options)  # of nothing so far
     rng, statuses = np.random.default_rng(4), set()
     for k, observation in enumerate(rows(SCENES[scene](n), seed=5)):
         expected = whole.update(observation)

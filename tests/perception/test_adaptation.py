@@ -36,6 +36,7 @@ from perception.adaptation.models import CameraModels
 from perception.evaluation.adapted_cameras import sequences_of
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, observe_frame
+from perception.pose.classifier import reliability
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 
@@ -102,8 +103,8 @@ def test_likelihoods_are_flat_where_nothing_can_be_told() -> None:
     person = np.repeat(np.arange(24), 10)
     angle = np.repeat(rng.uniform(-np.pi, np.pi, 24), 10)
     _, out = fit_directions(features, np.ones(30, np.float32), angle, person, folds_of(person, rng))
-    assert out.calibration_error(angle) < 0.12
-    assert np.exp(out.log_likelihood).max() < 0.6
+    assert reliability(out, CLASSES.index(angle)).expected_calibration_error < 0.12
+    assert np.exp(out).max() < 0.6
 
 
 def test_a_head_is_found_where_it_is_however_the_box_lies(

@@ -33,7 +33,6 @@ from perception.detection.ground_search import (
 from perception.detection.hog import TALL
 from perception.detection.rescoring import (
     Certainty,
-    GroundDetector,
     PersonProbability,
     adapt_to_recording,
     judged_by_other_frames,
@@ -191,10 +190,9 @@ def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
 def precision_and_recall(
     street: PastedStreet, candidates: dict[int, Candidates], probability: PersonProbability
 ) -> tuple[float, float]:
-    detector = GroundDetector(GroundSearch(street.camera, SIZE), probability)
     right = found = 0
     for item in street.boxes:
-        boxes = detector.chosen(candidates[item.frame]).boxes
+        boxes = probability.detections(candidates[item.frame]).boxes
         place = street.camera.image_to_ground(
             np.array([foot_point(tuple(box)) for box in boxes]).reshape(-1, 2)
         )
@@ -240,7 +238,8 @@ def test_nothing_is_taught_where_nobody_walks(
     still = dict.fromkeys(range(20), candidates[3])
     assert adapt_to_recording(still, street.camera, FPS, np.random.default_rng(0)) is None
     assert adapt_to_recording({}, street.camera, FPS, np.random.default_rng(0)) is None
-    none = candidates[3].taken(np.zeros(0, np.int64))
+    one = candidates[3]
+    none = Candidates(one.foot[:0], one.height[:0], one.score[:0], one.features[:0])
     assert adapt_to_recording({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
 
 

@@ -16,7 +16,7 @@ from command import ran, run
 from graphtrack.errors import InputError
 from perception.detection import from_supervision, from_ultralytics, yolo
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.detection.yolo import Letterbox, YoloNetwork
+from perception.detection.yolo import YoloNetwork, letterboxed
 
 pytest.importorskip("onnx", reason="the extra test has it")
 pytest.importorskip("onnxruntime", reason="the extra networks has it")
@@ -293,8 +293,8 @@ def test_a_person_is_found_where_the_picture_has_one(tmp_path: Path) -> None:
     picture[100:125, 25:50, 2] = 255  # a cell of red
     picture[25:50, 50:75, 0] = 255  # and of blue
     found = YoloNetwork(path, least=0.6)
-    box = Letterbox((100, 200), (SIDE, SIDE))
-    assert box.shown == (32, 64) and box.margin == (16, 0)
+    _, scale, margin = letterboxed(picture, (SIDE, SIDE))
+    assert scale == pytest.approx(0.32) and margin.tolist() == [16, 0]
     people = found.detect(picture)
     boxes, scores = people.boxes, people.scores
     assert len(boxes) == 1 and scores[0] > 0.99
@@ -304,13 +304,11 @@ def test_a_person_is_found_where_the_picture_has_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("image", [(64, 64), (640, 360), (100, 333), (37, 20), (1, 500)])
 def test_places_come_back_through_the_letterbox(image: tuple[int, int]) -> None:
-    box = Letterbox(image, (96, 64))
-    values = box.applied(np.full((image[1], image[0], 3), 255, np.uint8))
+    values, scale, margin = letterboxed(np.full((image[1], image[0], 3), 255, np.uint8), (96, 64))
     assert values.shape == (1, 3, 64, 96)
     rows, columns = np.nonzero(values[0, 0] > 0.9)
     corners = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]], float)
-    found = box.back(corners)
-    np.testing.assert_allclose(found, [[0, 0], image], atol=1.01 / box.scale)
+    np.testing.assert_allclose((corners - margin) / scale, [[0, 0], image], atol=1.01 / scale)
 
 
 def test_the_class_of_people_is_that_of_the_file_or_the_asked_one(tmp_path: Path) -> None:

@@ -29,7 +29,8 @@ RECORDING = "frames"
 """A folder of the reader's own images: blocks about it are run where it is there."""
 SHORTER = {
     "graphtrack simulate -o tracks.csv": "--steps 60",
-    "graphtrack simulate -o party.csv": "--steps 60",
+    "graphtrack simulate -o party.csv": "--steps 30",
+    "perception simulate -o clip": "--frames 6",
     "graphtrack demo": "--seconds 12",
 }
 """Added to lines that begin so, unless what takes minutes is run too."""
