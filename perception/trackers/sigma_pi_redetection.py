@@ -69,7 +69,7 @@ class Redetection:
         return np.asarray(region)
 
 
-def _near(region: FloatArray, others: FloatArray) -> NDArray[np.bool_]:
-    """Mask those of regions (n, 4) whose middle is within half a region (4,), or 4 pixels, of its middle."""
-    apart = np.abs(states_of(others)[:, :2] - states_of(region[None])[:, :2])
+def _near(region: FloatArray, regions: FloatArray) -> NDArray[np.bool_]:
+    """Mask those regions (n, 4) whose middle is within half a region (4,), or 4 pixels, of its middle."""
+    apart = np.abs(states_of(regions)[:, :2] - states_of(region[None])[:, :2])
     return np.asarray((apart <= np.maximum(region[2:], 8.0) / 2.0).all(axis=1))
