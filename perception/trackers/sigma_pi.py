@@ -35,6 +35,7 @@ from perception.trackers.sigma_pi_network import (
     adapted,
     output,
 )
+from perception.trackers.sigma_pi_redetection import Redetection
 from perception.trackers.tracker import (
     Box,
     BoxEstimate,
@@ -55,6 +56,11 @@ _SUPPORT, _FOUND, _LOST = 0.5, 0.5, 0.3
 _YOUNG, _STALE, _PATIENCE = 40, 15, 3
 """Frames with the person after which one other cue suffices for learning; consecutive frames with motion only
 after which the learned models are discarded; frames that confirm that the person is found or lost."""
+_LEAST_AREA, _REACH = 0.2, 3.0
+"""Least moving pixels of a region where the person may be, in areas of the expected window; its largest
+distance from the last window, in windows, if the first box was too small."""
+_MARGIN, _SMALL_MARGIN = 0.1, -0.1
+"""Required lead of a region's similarity over the window's; the same if the first box was too small."""
 _SHARPNESS = 4.0
 """Exponent of eq. 4 in the particle weights with views; 1 in the paper."""
 
@@ -128,6 +134,7 @@ class SigmaPiTracker:
         self._limits = low + least, high + most
         self._counter, self._found = 0, first is not None
         self._alone = 0
+        self._redetection = Redetection() if p.redetect and self._used[:2].all() else None
         self._look(small)
         if first is None:
             self._begin(self._anywhere(p.particles))
@@ -145,6 +152,8 @@ class SigmaPiTracker:
             self._colour.adapt(kernel(small.shape, first))
         if self._used[2]:
             self._form.adapt(first)
+        if self._redetection:
+            self._redetection.learn(self._colour.histogram(first))
         self._look(small)
         return self._estimate(self._last)
 
@@ -168,10 +177,14 @@ class SigmaPiTracker:
             self._move(proposal)
             again = self._draw_again(ancestors)
             self._weigh(again)
-        best = self._last = self._best()
+        best = self._best()
         estimate = self._estimate(best)
+        if self._found:
+            self._last = best
         self._learn(best)
         self._form.focus(boxes_of(best[None])[0] if self._found else None)
+        if self._redetection:
+            self._redetect(self._redetection, boxes_of(best[None])[0])
         if self.parameters.weigh_before_move:
             self._draw_again(self._resample())
         return estimate
@@ -225,7 +238,7 @@ class SigmaPiTracker:
             share[self._support[ancestors] < _SUPPORT] = p.lost_share
         again = self._rng.random(p.particles) < share
         drawn = self._anywhere(p.particles)
-        if self._small and self._found:
+        if self._small:
             drawn[:, :2] = self._near(drawn[:, :2])
         now = np.where(again[:, None], self._limited(drawn), self._cloud.now)
         before = np.where(again[:, None], drawn, self._cloud.before)
@@ -243,7 +256,7 @@ class SigmaPiTracker:
         return np.hstack([centre, size])
 
     def _near(self, centre: FloatArray) -> FloatArray:
-        """Clip centres (n, 2) to within two windows of the last estimate."""
+        """Clip centres (n, 2) to within two windows of the last place of the person."""
         away = 2.0 * centre / self._shape - 1.0
         return np.asarray(self._last[:2] + 2.0 * np.exp(self._last[2:]) * away)
 
@@ -317,6 +330,34 @@ class SigmaPiTracker:
         self._surroundings(window)
         if self._active.max() >= _SUPPORT:
             self._reference = self._reference + _SIZE_RATE * (best[2:] - self._reference)
+
+    def _redetect(self, redetection: Redetection, window: FloatArray) -> None:
+        """Continue in the region where the person is re-detected, if the window (4,) is at rest."""
+        if self._active[0] >= _SUPPORT and self._motion.changes_in(window):
+            redetection.rest()
+            if self._found:
+                redetection.learn(self._colour.histogram(window))
+            return
+        regions, pixels = self._motion.regions()
+        centre, size = np.hsplit(states_of(regions), 2)
+        low, high = self._limits
+        possible = ((size >= low - _SIZE_STD) & (size <= high + _SIZE_STD)).all(axis=1)
+        possible &= pixels >= _LEAST_AREA * np.exp(self._reference.sum())
+        if self._small:
+            apart = np.abs(centre - self._last[:2]) - regions[:, 2:] / 2.0
+            possible &= (apart <= _REACH * np.exp(self._last[2:])).all(axis=1)
+        margin = _SMALL_MARGIN if self._small else _MARGIN
+        region = redetection.search(window, regions[possible], self._colour, margin)
+        if region is None:
+            return
+        state = self._limited(states_of(region[None]))
+        self._begin(np.repeat(state, self.parameters.particles, axis=0))
+        self._last, self._reference = state[0], state[0, 2:]
+        self._colour.target = redetection.colours
+        self._form.forget()
+        self._form.adapt(region)
+        self._form.focus(region)
+        self._found, self._counter, self._alone = True, 0, 0
 
     def _surroundings(self, window: FloatArray | None) -> None:
         """Update the background models of colour and shape."""

@@ -22,9 +22,10 @@ from perception.trackers.tracker import cut
 # Lengths are pixels of the reduced frame, rates shares of a difference in one frame.
 _SURROUND = 2.2  # size of a window and its surround, in sizes of the window
 _BACKGROUND_RATE, _MOTION_THRESHOLD = 0.02, 16.0  # of the running average; grey levels that are motion
+_LAG, _CHANGED = 5, 0.05  # frames between images that are compared; share of pixels that change in a person
 _MOTION_OVERLAP, _COLOUR_OVERLAP, _SHAPE_OVERLAP = (0.25, 0.05), (0.25, 0.05), (0.15, 0.04)
 """Overlap with what is salient at which a cue's activity rises, and how steeply (`activation`)."""
-_COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
+COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
 _COLOUR_ODDS = 3.0  # prior odds of the background against the target
 _MEMORY, _BACKGROUND_FEATURES = 10, 600  # stored frames, and features of the background
 _MATCHED, _MARGIN = 0.85, 0.08  # similarity of a match, and margin that decides between target and background
@@ -261,6 +262,10 @@ class ViewCue:
         if self.gain(window[None])[0] < _VIEW_NEW:
             self._later.append(descriptors(self._grey, window[None])[0])
 
+    def forget(self) -> None:
+        """Discard all views but the first."""
+        self._later.clear()
+
     def give(self, images: list[Image]) -> None:
         """Ignore background images."""
 
@@ -307,10 +312,12 @@ class MotionCue(_SaliencyCue):
         # The background behind the target appears once the target has moved away.
         self._unknown = target
         self._image = self._background
+        self._past = deque([self._image], maxlen=_LAG + 1)
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
         self._image = smoothed(image)
+        self._past.append(self._image)
         saliency = foreground(self._background, self._image, _MOTION_THRESHOLD)
         if self._unknown is not None:
             saliency[self._unknown] = 0.0
@@ -327,6 +334,27 @@ class MotionCue(_SaliencyCue):
             self._unknown &= target
             if not self._unknown.any():
                 self._unknown = None
+
+    def changes(self) -> NDArray[np.float32]:
+        """Return 1 where a pixel differs from the fifth frame before (h, w).
+
+        People at rest are salient until they are absorbed, as is the place that they leave: neither changes.
+        """
+        return foreground(self._past[0], self._image, _MOTION_THRESHOLD)
+
+    def changes_in(self, window: FloatArray) -> bool:
+        """Return whether pixels of a window (4,) change as where a person moves."""
+        inside = self.changes()[covered(self.saliency.shape, window, 1.0)]
+        return bool(inside.size and inside.mean() >= _CHANGED)
+
+    def regions(self) -> tuple[FloatArray, FloatArray]:
+        """Return boxes (n, 4) and pixels (n,) of the connected salient regions that change."""
+        salient = np.asarray(self.saliency > 0.0, np.uint8)
+        closed = cv2.morphologyEx(salient, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        count, labels, found, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+        changed = np.bincount(labels.ravel(), (self.changes() * salient).ravel(), minlength=count)
+        found = found[1:][changed[1:] >= _CHANGED * found[1:, cv2.CC_STAT_AREA]].astype(float)
+        return found[:, :4], found[:, cv2.CC_STAT_AREA]
 
 
 class ColourCue(_SaliencyCue):
@@ -355,12 +383,19 @@ class ColourCue(_SaliencyCue):
         rate = _SURROUNDINGS_RATE
         self._background = found if self._background is None else _mixed(self._background, found, rate)
 
+    def histogram(self, window: FloatArray) -> FloatArray:
+        """Return the histogram (COUNT,) of a window (4,), weighted by `kernel`."""
+        left, top = np.maximum(window[:2].astype(int), 0)
+        right, bottom = np.maximum(np.ceil(window[:2] + window[2:]).astype(int), 0)
+        pixels = self._numbers[top:bottom, left:right]
+        return weighed_histogram(pixels, kernel(pixels.shape, window - [left, top, 0, 0]))
+
     def adapt(self, weights: NDArray[np.float32]) -> None:
         """Adapt the target's histogram to pixels with weights (h, w)."""
         found = weighed_histogram(self._numbers, weights)
         if found.sum() > 0.0:
             self.frames += 1
-            rate = max(_COLOUR_RATE, 1.0 / self.frames)
+            rate = max(COLOUR_RATE, 1.0 / self.frames)
             self.target = found if self.target is None else _mixed(self.target, found, rate)
 
 
@@ -447,6 +482,11 @@ class ShapeCue:
         self._memory.append(new)
         self._rates.append(1.0)
         self._expected = float(np.mean([len(frame) for frame in self._memory]))
+
+    def forget(self) -> None:
+        """Discard the target's features."""
+        self._memory.clear()
+        self._rates.clear()
 
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:

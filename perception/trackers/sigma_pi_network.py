@@ -79,6 +79,7 @@ class SigmaPiParameters:
     teach_always : whether colour and shape learn from every frame with the person found, as in the paper,
         and not only from estimates that other cues support
     views : whether the shape cue uses views (`ViewCue`) instead of local features, if a box is given
+    redetect : whether a window at rest may be left for a moving region with the person's colours
     dynamics : of the particles; few are drawn from a guide's proposal, which assumes steady walking, while
         people in a room turn and stop
     """
@@ -95,6 +96,7 @@ class SigmaPiParameters:
     weigh_before_move: bool = False
     teach_always: bool = False
     views: bool = True
+    redetect: bool = True
     dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03, 0.2))
 
     def __post_init__(self) -> None:
@@ -125,4 +127,5 @@ class SigmaPiParameters:
             weigh_before_move=True,
             teach_always=True,
             views=False,
+            redetect=False,
         )

@@ -21,6 +21,8 @@ from perception.images.pixels import Image, enlarged
 from perception.trackers import color, sigma_pi_cues
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_cues import (
+    ColourCue,
+    MotionCue,
     ShapeCue,
     ViewCue,
     activation,
@@ -37,6 +39,7 @@ from perception.trackers.sigma_pi_network import (
     output,
     products,
 )
+from perception.trackers.sigma_pi_redetection import Redetection
 from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, Proposal, predict, states_of
 
 SIZE = (200, 150)
@@ -446,6 +449,86 @@ def test_in_too_small_a_box_motion_keeps_its_reliability() -> None:
     found = [tracker.step(lobby(k)) for k in range(1, 12)]
     assert {one.cues["reliability motion"] for one in found} == {1.0}
     assert len({one.cues["reliability colour"] for one in found}) > 1
+
+
+# -- re-detection after a loss ------------------------------------------------------------------------------
+
+
+def with_decoy(k: int) -> Image:
+    """A person who walks; from frame 20 on, a decoy of their shape and another colour stands in their way."""
+    decoy = np.ascontiguousarray(PERSON[..., ::-1])
+    room = shown(path(19), 1000, person=decoy) if k >= 20 else ROOM
+    return shown((path(k)[0] + 40.0 * (k >= 20), 110.0 if k >= 20 else path(k)[1]), k, room)
+
+
+def test_a_target_that_leaves_its_window_to_a_decoy_is_found_by_its_colours_where_pixels_change() -> None:
+    ends = {}
+    for redetect in (True, False):
+        tracker = SigmaPiTracker(SigmaPiParameters(redetect=redetect), seed=1)
+        found = follow(tracker, [with_decoy(k) for k in range(45)], box_at(path(0)))
+        assert is_on(found[19], path(19))
+        ends[redetect] = [is_on(one, (path(k)[0] + 40.0, 110.0)) for k, one in enumerate(found)][-10:]
+    assert all(ends[True]) and not any(ends[False])
+
+
+def test_a_target_at_rest_is_not_left_for_a_person_of_other_colours() -> None:
+    other = np.ascontiguousarray(PERSON[..., ::-1])
+    images = []
+    for k in range(100):
+        at_rest = shown(path(min(k, 30)), 1000 + k)
+        images.append(shown((2.0 * k - 40.0, 120.0), k, at_rest, other) if 40 <= k < 110 else at_rest)
+    found = follow(SigmaPiTracker(seed=1), images, box_at(path(0)))
+    assert all(is_on(one, path(30)) for one in found[30:])
+
+
+def test_only_regions_whose_pixels_change_are_offered() -> None:
+    """What is put down differs from the background for long, but does not change."""
+    cue = MotionCue(ROOM, None)
+    for k in range(12):
+        put_down = shown((40.0, 40.0), 1000 + k) if k >= 2 else ROOM
+        cue.look(shown((80.0 + 4.0 * k, 110.0), k, put_down))
+    boxes, pixels = cue.regions()
+    large = boxes[pixels > 200]
+    assert cue.saliency[40, 40] == 1.0 and len(large) == 1
+    np.testing.assert_allclose(large[0], box_at((124.0, 110.0)), atol=4.0)
+    assert cue.changes_in(large[0]) and not cue.changes_in(np.array(box_at((40.0, 40.0))))
+
+
+def test_a_region_is_accepted_when_it_was_more_similar_in_five_consecutive_frames() -> None:
+    target, window = np.array(box_at((60.0, 60.0))), np.array(box_at((140.0, 100.0)))
+    colour, image = ColourCue(ROOM), shown((60.0, 60.0), 0)
+    colour.look(image)
+    search = Redetection()
+    assert search.search(window, target[None], colour, 0.1) is None
+    search.learn(colour.histogram(target))
+    nothing = np.zeros((0, 4))
+    for pause in (nothing, window[None]):
+        answers = [search.search(window, target[None], colour, 0.1) for _ in range(4)]
+        answers.append(search.search(window, pause, colour, 0.1))
+        assert all(answer is None for answer in answers)
+    answers = [search.search(window, target[None], colour, 0.1) for _ in range(5)]
+    assert answers[:4] == [None] * 4
+    np.testing.assert_array_equal(answers[4], target)
+    assert all(search.search(target, target[None], colour, 0.1) is None for _ in range(6))
+
+
+def test_a_histogram_of_a_window_is_that_of_the_whole_image_by_the_kernel() -> None:
+    colour = ColourCue(ROOM)
+    colour.look(shown((60.0, 60.0), 0))
+    for box in (box_at((60.0, 60.0)), box_at((3.0, 148.0)), (190.4, 20.3, 30.0, 12.7)):
+        whole = color.weighed_histogram(
+            color.pixel_bins(shown((60.0, 60.0), 0)), sigma_pi_cues.kernel(ROOM.shape, np.array(box))
+        )
+        np.testing.assert_allclose(colour.histogram(np.array(box)), whole, atol=1e-6)
+    assert colour.histogram(np.array([300.0, 20.0, 30.0, 12.0])).sum() == 0.0
+
+
+def test_a_lost_target_of_too_small_a_box_is_sought_near_its_last_place() -> None:
+    black = np.zeros((150, 200, 3), np.uint8)
+    lost = follow(SigmaPiTracker(seed=0), [black] * 30, (40.0, 30.0, 10.0, 8.0))[-10:]
+    assert not any(one.found for one in lost)
+    centres = np.concatenate([one.particles[:, :2] + one.particles[:, 2:] / 2.0 for one in lost])
+    assert (np.abs(centres - [45.0, 34.0]) < 6.0 * np.array([10.0, 8.0])).all()
 
 
 def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
