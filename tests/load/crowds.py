@@ -2,6 +2,7 @@
 
     python tests/load/crowds.py offline PEOPLE FRAMES        association of a recording at 5 Hz
     python tests/load/crowds.py online PEOPLE FRAMES HZ PRESET
+    python tests/load/crowds.py score PEOPLE FRAMES          `graphtrack score` of a recording's tracks
     python tests/load/crowds.py day FOLDER HOURS             detections of HOURS hours, a Parquet file each
 
 People of 1.3 m/s wander in a square, 9 m² each; 10 % of detections are missed, σ is 0.1 m, and there is one
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import resource
 import sys
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -30,6 +32,7 @@ from crossing_people import idf1, packed_square
 import graphtrack as gt
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
+from graphtrack.tracks.track import Track
 
 STEP = 0.2  # seconds between frames
 
@@ -104,6 +107,30 @@ def online(people: int, frames: int, rate: float, preset: str) -> None:
         print(f"  {part}: {100.0 * seconds / whole:.0f} %")
 
 
+def score(people: int, frames: int) -> None:
+    from graphtrack.cli import main
+
+    detections, whose = packed_square(np.random.default_rng(0), people=people, frames=frames)
+    tracks = []
+    for person in range(people):
+        own = np.flatnonzero(whose == person)
+        tracks.append(Track(person, detections.frame[own], detections.t[own], detections.position[own]))
+    with tempfile.TemporaryDirectory() as folder:
+        truth, found = Path(folder) / "truth.parquet", Path(folder) / "found.parquet"
+        gt.write(gt.TrackSet(tuple(tracks)), truth)
+        rng = np.random.default_rng(1)
+        table = pd.read_parquet(truth)
+        table[["x", "y"]] += rng.normal(0.0, 0.1, (len(table), 2))
+        table["track_id"] += people * (table["frame"] // 100)  # three tracks a person
+        table.sort_values(["track_id", "frame"]).to_parquet(found, index=False)
+        start = begin()
+        sys.argv = ["graphtrack", "score", str(found), "--truth", str(truth), "--metres", "0.5"]
+        try:
+            main()
+        except SystemExit:
+            report(f"score {people} × {frames}", start, len(table))
+
+
 def day(folder: str, hours: int) -> None:
     rng, step, side = np.random.default_rng(0), 0.4, 50.0
     frames, frame = round(3600.0 / step), 0
@@ -143,7 +170,7 @@ if __name__ == "__main__":
         online(int(values[0]), int(values[1]), float(values[2]), values[3])
     elif task == "day":
         day(values[0], int(values[1]))
-    elif task == "offline":
-        offline(int(values[0]), int(values[1]))
+    elif task in ("offline", "score"):
+        {"offline": offline, "score": score}[task](int(values[0]), int(values[1]))
     else:
         sys.exit(__doc__)
