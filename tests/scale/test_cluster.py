@@ -16,8 +16,7 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import GraphtrackError
-from graphtrack.scale import smooth_dataset
-from graphtrack.scale import workers as scale_cluster
+from graphtrack.scale import job, smooth_dataset
 
 distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 dask = pytest.importorskip("dask")
@@ -82,7 +81,7 @@ def test_a_batch_that_ends_every_worker_is_one_error(data, two_workers, tmp_path
     def fatal(work: object, batch: object) -> None:
         os._exit(1)
 
-    monkeypatch.setattr(scale_cluster, "smooth_batch", fatal)
+    monkeypatch.setattr(job, "smooth_batch", fatal)
     with pytest.raises(GraphtrackError, match="ended while they had the same batch"):
         smooth_dataset(data, tmp_path / "out.parquet", cluster=two_workers.scheduler_address)
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
