@@ -87,4 +87,4 @@ def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
             print(std, metres, {key: round(value, 3) for key, value in found.items()})
             # A near position that lasts for ten frames is plausible given the past.
             assert found["cauchy", "offline"] < (0.9 if metres else 1.02) * found["huber", "offline"]
-            assert found["cauchy", "online"] < (0.4 if metres == 3.0 else 1.02) * found["huber", "online"]
+            assert found["cauchy", "online"] < (0.6 if metres == 3.0 else 1.1) * found["huber", "online"]
