@@ -220,7 +220,7 @@ def test_a_camera_learns_from_two_recordings_and_writes_the_graph_that_goes_with
     assert once.returncode == 2 and "--boxes 3 times for 2 recordings" in once.stderr
     graph = tmp_path / "camera.toml"
     done = ran("adapt", *arguments, "-o", tmp_path / "camera.npz", "--write-model", graph)
-    assert "of 22 tracks" in done.stdout + done.stderr
+    assert "of 22 walking people in 22 tracks" in done.stdout + done.stderr
     share = Model.named(graph).parameters.likelihood.class_outlier_probability
     assert 0.05 <= share <= 0.98
 
