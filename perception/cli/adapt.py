@@ -25,7 +25,7 @@ from perception.cli.options import (
     print_skipped,
     read_given_boxes,
 )
-from perception.cli.searching import PeopleSearch, search_journal
+from perception.cli.searching import PeopleSearch, search_journals
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -180,7 +180,7 @@ def adapt(
         )
     # Each recording has its own journals, so that an interrupted search continues.
     output_paths = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
-    journals = [search_journal(path) for path in output_paths]
+    journals = [path for place in output_paths for path in search_journals(place)]
     inputs = {"--boxes": boxes, **camera.files}
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:

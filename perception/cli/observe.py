@@ -38,7 +38,7 @@ from perception.cli.searching import (
     find_keypoints,
     ground_search,
     look_at_people,
-    search_journal,
+    search_journals,
 )
 from perception.storage import key_of
 
@@ -159,7 +159,7 @@ def observe(
                 raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
     outputs: dict[str, Path | Sequence[Path] | None] = {
         "--output": output,
-        "the journals of --output": [search_journal(output), *_output_paths(output)],
+        "the journals of --output": [*search_journals(output), *_output_paths(output)],
         "--write-boxes": write_boxes_to,
     }
     check_output_paths(

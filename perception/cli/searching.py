@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -233,9 +233,9 @@ def look_at_people(
         return pipeline.observe(decoded, people, models, journal, refuse=refuse)
 
 
-def search_journal(output: Path) -> Path:
-    """Return the journal next to an output, which holds the progress of its search."""
-    return output.with_name(f"{output.name}.detections")
+def search_journals(output: Path) -> list[Path]:
+    """Return the journals next to an output, which hold the progress of its search."""
+    return [output.with_name(f"{output.name}.{name}") for name in ("detections", "adapted")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ class PeopleSearch:
     frames : the recording
     camera : view of the ground; None: people may have any size
     clock : times of the frames
-    output : of the command; a journal is written next to it
+    output : of the command; journals are written next to it
     asked : settings that the result depends on, in addition to frames, camera and clock
     causal : whether a detection depends on its frame alone, without background or learning
     one_size : whether frames of several sizes are refused, as with a camera
@@ -267,21 +267,25 @@ class PeopleSearch:
     def people(self, refuse: Refuse) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
         """Return detections of people, without identities, and the searched frames.
 
-        If the run is interrupted within this context, the journal stays, and its frames are not searched
+        If the run is interrupted within this context, the journals stay, and their frames are not searched
         again. ``refuse`` receives frames that cannot be decoded.
         """
         from perception.detection.boxes import Detections, boxes_of
         from perception.detection.hog import PeopleDetector
+        from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
 
         view = stamp_of_camera(self.camera)
         key = key_of(self.frames.stamp(), self.clock, self.causal, view, *self.asked)
+        of_detections, of_adapted = search_journals(self.output)
         started, before = time.process_time(), time.perf_counter()
-        with FrameJournal(search_journal(self.output), key, Detections) as journal:
+        with ExitStack() as journals:
+            journal = journals.enter_context(FrameJournal(of_detections, key, Detections))
+            adapted = journals.enter_context(FrameJournal(of_adapted, key, PersonProbability))
             report_progress(journal)
             count = len(journal)
             if self.detector is None and self.camera is not None:
-                self._on_ground(self.camera, journal, refuse)
+                self._on_ground(self.camera, journal, adapted, refuse)
             else:
                 detector = self.detector or PeopleDetector()
 
@@ -297,7 +301,13 @@ class PeopleSearch:
             )
             yield boxes_of(journal), frozenset(journal)
 
-    def _on_ground(self, camera: GroundCamera, journal: FrameJournal[Detections], refuse: Refuse) -> None:
+    def _on_ground(
+        self,
+        camera: GroundCamera,
+        journal: FrameJournal[Detections],
+        known: FrameJournal[PersonProbability],
+        refuse: Refuse,
+    ) -> None:
         from perception.detection.background import Backgrounds, background_samples
         from perception.detection.rescoring import PersonProbability, learning_frames
 
@@ -315,8 +325,8 @@ class PeopleSearch:
             return search
 
         candidates: dict[int, Candidates] = {}
-        probability = None
-        if rest and not self.causal:
+        probability = known.get(0)
+        if probability is None and rest and not self.causal:
             with self._some(set(learning_frames(numbers, rate)), "frames to learn from") as decoded:
                 for frame in decoded:
                     if frame.image is None:
@@ -326,6 +336,8 @@ class PeopleSearch:
                         candidates[frame.number] = searching(frame.image).candidates(frame.image, background)
             probability = self._adapted(camera, candidates)
         probability = probability or PersonProbability.of_package(foreground=bool(backgrounds.parts))
+        if not known:
+            known.add(0, probability)
         for number, of_frame in candidates.items():
             if number not in journal:
                 journal.add(number, probability.detections(of_frame))
