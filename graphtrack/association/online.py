@@ -94,8 +94,17 @@ class History(Saved):
     """The newest final detections, from which parameters are learned."""
 
     _saved: ClassVar = {
-        **dict.fromkeys(("t", "std", "score", "position", "facing", "descriptor"), np.ndarray),
-        **{"frame": np.ndarray, "owner": np.ndarray, "count": int, "times": int, "since": float | None},
+        "t": np.ndarray,
+        "std": np.ndarray,
+        "score": np.ndarray,
+        "position": np.ndarray,
+        "facing": np.ndarray,
+        "descriptor": np.ndarray,
+        "frame": np.ndarray,
+        "owner": np.ndarray,
+        "count": int,
+        "times": int,
+        "since": float | None,
     }
 
     def __init__(self) -> None:
@@ -195,10 +204,20 @@ class OnlineAssociation(Moves, Saved):
     """
 
     _saved: ClassVar = {
-        **{"known": dict[str, Any], "lag": float, "scene": SceneParameters, "chains": Chains},
-        **{"link_p": np.ndarray, "_notes": Notes, "_first": list[int], "_history": Saved},
-        **{"_ground_rates": GroundRates | None, "_appearance": AppearanceEvidence, "_next": int},
-        **{"updates": int, "_last": float, "_intervals": list[float]},
+        "known": dict[str, Any],
+        "lag": float,
+        "scene": SceneParameters,
+        "chains": Chains,
+        "link_p": np.ndarray,
+        "_notes": Notes,
+        "_first": list[int],
+        "_history": Saved,
+        "_ground_rates": GroundRates | None,
+        "_appearance": AppearanceEvidence,
+        "_next": int,
+        "updates": int,
+        "_last": float,
+        "_intervals": list[float],
     }
 
     def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:

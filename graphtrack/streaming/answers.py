@@ -130,8 +130,13 @@ class EndedFrames(Saved):
     """
 
     _saved: ClassVar = {
-        **{"_t": float, "_frame": int, "_is_open": bool, "_behaviour": Saved, "_forecaster": Saved},
-        **dict.fromkeys(("_people", "_observed"), dict[int, tuple[float, ...]]),
+        "_t": float,
+        "_frame": int,
+        "_is_open": bool,
+        "_behaviour": Saved,
+        "_forecaster": Saved,
+        "_people": dict[int, tuple[float, ...]],
+        "_observed": dict[int, tuple[float, ...]],
     }
 
     def __init__(

@@ -45,6 +45,7 @@ from perception.storage import key_of
 if TYPE_CHECKING:
     from perception.detection.boxes import Detections, PersonBox
     from perception.detection.ground_search import GroundSearch
+    from perception.detection.yolo import YoloNetwork
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observe.live import LiveObserver
@@ -297,14 +298,19 @@ def _stream(
     from perception.detection.rescoring import PersonProbability
 
     given, camera = boxes_by_frame(boxes or ()), observer.camera
+    detector: YoloNetwork | PeopleDetector | None = networks.detector
+    if boxes is None and camera is None:
+        detector = detector or PeopleDetector()
+    probability = PersonProbability.of_package(foreground=False)
     search: GroundSearch | None = None
 
     def detected(image: Image) -> Detections:
         nonlocal search
-        if networks.detector is not None or camera is None:
-            return (networks.detector or PeopleDetector()).detect(image)
+        if detector is not None:
+            return detector.detect(image)
+        assert camera is not None
         search = search or ground_search(camera, image)
-        return PersonProbability.of_package(foreground=False).detections(search.candidates(image, None))
+        return probability.detections(search.candidates(image, None))
 
     def people_in(number: int, image: Image) -> list[PersonBox]:
         looked = {number: networks.look(number, image)} if networks.has_keypoints else None

@@ -334,7 +334,7 @@ class SigmaPiTracker:
     def _redetect(self, redetection: Redetection, window: FloatArray) -> None:
         """Continue in the region where the person is re-detected, if the window (4,) is at rest."""
         if self._active[0] >= _SUPPORT and self._motion.changes_in(window):
-            redetection.rest()
+            redetection.reset()
             if self._found:
                 redetection.learn(self._colour.histogram(window))
             return

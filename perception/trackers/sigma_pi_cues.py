@@ -25,7 +25,7 @@ _BACKGROUND_RATE, _MOTION_THRESHOLD = 0.02, 16.0  # of the running average; grey
 _LAG, _CHANGED = 5, 0.05  # frames between images that are compared; share of pixels that change in a person
 _MOTION_OVERLAP, _COLOUR_OVERLAP, _SHAPE_OVERLAP = (0.25, 0.05), (0.25, 0.05), (0.15, 0.04)
 """Overlap with what is salient at which a cue's activity rises, and how steeply (`activation`)."""
-COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
+_COLOUR_RATE, _SURROUNDINGS_RATE = 0.015, 0.01  # of the histograms of the target and of the background
 _COLOUR_ODDS = 3.0  # prior odds of the background against the target
 _MEMORY, _BACKGROUND_FEATURES = 10, 600  # stored frames, and features of the background
 _MATCHED, _MARGIN = 0.85, 0.08  # similarity of a match, and margin that decides between target and background
@@ -395,8 +395,7 @@ class ColourCue(_SaliencyCue):
         found = weighed_histogram(self._numbers, weights)
         if found.sum() > 0.0:
             self.frames += 1
-            rate = max(COLOUR_RATE, 1.0 / self.frames)
-            self.target = found if self.target is None else _mixed(self.target, found, rate)
+            self.target = averaged(self.target, found, self.frames)
 
 
 class ShapeCue:
@@ -487,6 +486,14 @@ class ShapeCue:
         """Discard the target's features."""
         self._memory.clear()
         self._rates.clear()
+
+
+def averaged(before: FloatArray | None, now: FloatArray, frames: int) -> FloatArray:
+    """Return the mean histogram of the target's first frames, later a running average.
+
+    ``frames`` : their number, the present one included
+    """
+    return now if before is None else _mixed(before, now, max(_COLOUR_RATE, 1.0 / frames))
 
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:

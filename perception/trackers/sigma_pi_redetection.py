@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from perception.trackers.sigma_pi_cues import COLOUR_RATE, ColourCue
+from perception.trackers.sigma_pi_cues import ColourCue, averaged
 from perception.trackers.tracker import states_of
 
 _CONFIRMED = 5
@@ -33,10 +33,9 @@ class Redetection:
     def learn(self, colours: FloatArray) -> None:
         """Adapt to the histogram (COUNT,) of a window that moves."""
         self._frames += 1
-        before = colours if self.colours is None else self.colours
-        self.colours = before + max(COLOUR_RATE, 1.0 / self._frames) * (colours - before)
+        self.colours = averaged(self.colours, colours, self._frames)
 
-    def rest(self) -> None:
+    def reset(self) -> None:
         """Discard the followed region."""
         self._region, self._count = None, 0
 
@@ -58,14 +57,14 @@ class Redetection:
         if self._region is not None and (followed := better & _near(self._region, regions)).any():
             better = followed
         else:
-            self.rest()
+            self.reset()
         if not better.any():
             return None
         self._count += 1
         self._region = region = regions[np.where(better, likeness[1:], -np.inf).argmax()]
         if self._count < _CONFIRMED:
             return None
-        self.rest()
+        self.reset()
         return np.asarray(region)
 
 

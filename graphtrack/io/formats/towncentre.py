@@ -28,8 +28,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
     The calibration is that of the options or ``calibration.ci`` next to the file. The boxes may be those of
     an image of half the calibrated size: that is recognised when all upper edges are centred within it,
-    unless the camera itself is given.
-    25 frames a second unless ``fps`` is given.
+    unless the camera itself is given. 25 frames a second unless ``fps`` is given.
     """
     rows = read_boxes(source)
     left, top, width, height = rows.channels["box"].T
