@@ -29,9 +29,13 @@ from graphtrack.inference.state import Window, states_of, values_of, variable_ke
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
+
+
+ANCHOR_KAPPA = 1e-3
+"""Concentration at which first orientations are held. GTSAM rejects a clique whose last pivot is less than 2⁻²⁴
+of the previous one, as between the turning at high frame rates and a weaker anchor."""
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
@@ -55,7 +59,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
     return [key for step in steps for key in variable_keys(step, model)]
 
 
-def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
+def beginning(window: Window, model: Model) -> list[gtsam.NonlinearFactor]:
     """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
         return [window.prior.factor(window.steps[0], model)]
@@ -64,7 +68,7 @@ def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list
     step, (body, head) = window.steps[0], window.anchor
     held = [(step.body_key, body)] if model.has_body else []
     held += [(step.head_key, head)] if model.has_head else []
-    return [von_mises_prior(key, angle, kappa) for key, angle in held]
+    return [von_mises_prior(key, angle, ANCHOR_KAPPA) for key, angle in held]
 
 
 def descend(
@@ -198,8 +202,13 @@ class _Descent:
 
     def __call__(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         found = self._optimize(values)
-        wound = None if self.view is None else self.view.unwound(states_of(found[0], self.steps, self.model))
-        return found if wound is None else self._better(found, values_of(self.steps, wound, self.model))
+        if self.view is None:
+            return found
+        for way in (self.view.off_saddle, self.view.unwound):
+            other = way(states_of(found[0], self.steps, self.model))
+            if other is not None:
+                found = self._better(found, values_of(self.steps, other, self.model))
+        return found
 
     def _optimize(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         ordering = gtsam.Ordering(keys_of(self.steps, self.model))
