@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, wrap, wrapped
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.covariance import calibrate_newest, calibration_of
@@ -87,6 +87,25 @@ def _between(window: Window, place: int, t: float) -> FloatArray:
     state = a + share * (b - a)
     state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
     return np.asarray(state)
+
+
+_KNOWN_STD = math.radians(80.0)
+"""1-σ of an orientation up to which its most probable value is reported as it is."""
+_HOLD_SECONDS = 0.2
+"""Seconds in which a reported orientation takes up the share of a change that its evidence has."""
+
+
+def held(angle: float, variance: float, before: float, seconds: float) -> float:
+    """Return the orientation to report, ``seconds`` after ``before``: it turns as evidence permits.
+
+    The most probable value of a nearly uniform density jumps with the noise of the path. The evidence is the
+    share of the uniform density's variance that is gone; at `_KNOWN_STD` and below it is complete.
+    """
+    uniform, known = UNIFORM_STD**2, _KNOWN_STD**2
+    if not variance > known or not math.isfinite(before):
+        return angle
+    left = min((variance - known) / (uniform - known), 1.0) ** (max(seconds, 0.0) / _HOLD_SECONDS)
+    return wrapped(before + (1.0 - left) * wrapped(angle - before))
 
 
 _PROMISED_DECREASE = 1e-8
@@ -372,6 +391,9 @@ class OnlineSmoother:
             age = observation.t - first.observation.t if first.starts else math.inf
             calibrate_newest(covariance[None], state[None], 0, age, calibration_of(self.model.parameters))
         body, head = map(wrapped, state[4:].tolist())
+        if (last := self._last) is not None:
+            seconds, (of_body, of_head) = observation.t - last.t, np.diagonal(covariance)[4:].tolist()
+            body, head = held(body, of_body, last.body, seconds), held(head, of_head, last.head, seconds)
         aligned, offset, glance = getattr(smoother, "modes", (math.nan, math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,

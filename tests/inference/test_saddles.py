@@ -91,3 +91,25 @@ def test_gtsam_smooths_positions_alone_with_every_preset(model):
     for name in ("body", "head"):
         if getattr(chain, name) is not None:
             assert np.allclose(found.std(name), chain.std(name), rtol=0.05)
+
+
+@pytest.mark.parametrize("rate", [2.5, 10.0, 25.0])
+@pytest.mark.parametrize("model", BODY_FOLLOWS)
+def test_the_heading_of_somebody_who_only_stands_does_not_jump(model, rate):
+    rng, n = np.random.default_rng(3), round(20.0 * rate)
+    track = gt.Track(1, np.arange(n), np.arange(n) / rate, rng.normal(0.0, 0.05, (n, 2)))
+    found = gt.track_online(track, model)
+    assert found.body is not None
+    assert np.median(found.std("body")) > np.radians(90.0)  # next to nothing is known
+    turns = np.abs(wrap(np.diff(found.body)))[round(rate) :]  # the first second decides where it begins
+    assert turns.max() < np.radians(45.0)
+
+
+def test_a_heading_is_taken_up_once_somebody_walks():
+    rng, n = np.random.default_rng(3), 150
+    travelled = np.maximum(DT * np.arange(n) - 10.0, 0.0)
+    direction = np.radians(-130.0)
+    track = track_of(along(travelled, direction, 0.0) + rng.normal(0.0, 0.05, (n, 2)))
+    body = gt.track_online(track, "full").body
+    assert body is not None
+    assert np.abs(wrap(body[115:] - direction)).max() < np.radians(30.0)

@@ -442,7 +442,7 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
 
 @inner
 def nudge(first: int, n: int, states: FloatArray, nudged: Any, to: FloatArray) -> None:
-    """Copy states from the frame ``first`` on, with their orientations turned by `_NUDGE` where ``nudged``."""
+    """Copy states from the frame ``first`` on; where ``nudged``, orientations are turned by `_NUDGE`."""
     for k in range(first, n):
         for i in range(N):
             turned = states[k, i] + (_NUDGE if i >= BODY else 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
+from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basins, unwind
 from graphtrack.inference.chain.covariance import Calibration, add_spread, calibrate_newest, hide
 from graphtrack.inference.chain.newton import (
     COST,
@@ -199,6 +199,10 @@ def solve_window(
         copy_rows(0, n, states, memory.again)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
+    if search:
+        copy_rows(0, n, states, memory.again)
+        if admit_rejected(problem, chain.track, memory.again[:n]):
+            kept = move_if_less(chain, states, 0.0, problem.prior, kept, False, rules, memory)
     if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
         prior = problem.prior.copy()
         turn_prior(problem.prior, states, memory.again)

@@ -32,10 +32,9 @@ from graphtrack.model.observation import chain
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
-
-ANCHOR_KAPPA = 1e-3
-"""Concentration at which first orientations are held. GTSAM rejects a clique whose last pivot is less than 2⁻²⁴
-of the previous one, as between the turning at high frame rates and a weaker anchor."""
+ANCHOR_KAPPA = 1e-4
+"""Concentration at which first orientations are held. GTSAM rejects a clique whose last pivot is less than
+2⁻²⁴ of the previous one, as between the turning at video frame rates and a weaker anchor."""
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import find_other_basin, unwind
+from graphtrack.inference.chain.basin_search import admit_rejected, find_other_basin, unwind
 from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.newton import Workspace, leave_saddle, workspace
 from graphtrack.inference.chain.window import FrameRows, gait_of_model
@@ -74,6 +74,9 @@ class ChainView:
             return None
         here = self._here(states)
         memory = workspace(len(here))
+        memory.again[:] = here
+        if admit_rejected(self._problem, 0, memory.again):
+            return self._there(memory)
         found = find_other_basin(self._chain, here, near, memory)
         return self._there(memory) if found else self.unwound(states)
 

@@ -197,11 +197,12 @@ class CouplingModeSmoother:
         except FAILURES:
             # The observation itself has led to this basin.
             return self.graph.settled()
-        if not self._searches and self._couplings is None:
-            self._view = None  # until the next saddle
         if self._couplings is None:
+            if not self._searches:
+                self._view = None  # until the next saddle
             return newest
         covariance = np.zeros((len(recent), 6, 6))
+        assert self._view is not None
         self._view.widen(states, covariance)
         return newest[0], newest[1] + covariance[-1]
 
