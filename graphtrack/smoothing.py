@@ -46,7 +46,7 @@ from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
-from graphtrack.tracks.scene import GivenScene
+from graphtrack.tracks.scene import GivenScene, known_values
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -398,9 +398,16 @@ class OnlineTracker(DetectionTracker):
             groups=self._conversations,
             walkable=area,
         )
+        self._scene = known_values(scene)
         self._forecaster: Forecaster | None = None
         self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
         self._present: list[int] = []
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by `state`, with what it leaves out."""
+        made = partial(OnlineTracker.from_state, model=self.model, scene=self._scene, **self._options)
+        left_out = {name: getattr(self, name) for name in ("_frames", "_present", "revised", "newest")}
+        return made, (self.state(),), left_out
 
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]

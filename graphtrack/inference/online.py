@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -181,6 +182,20 @@ class OnlineSmoother:
             self._smoother = CouplingModeSmoother(graph, self.model, self.lag, couplings)
         self._next_index = 0
         self._last: Estimate | None = None
+        self._again: dict[str, Any] = {
+            "model": chosen,
+            "engine": self.engine,
+            "lag": lag,
+            "camera": camera,
+            "walkable": self._walkable,
+            "relinearize_threshold": relinearize_threshold,
+            "step_tolerance": step_tolerance,
+            "max_iterations": max_iterations,
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by `state`, with what `from_state` says of engines."""
+        return partial(OnlineSmoother.from_state, **self._again), (self.state(),)
 
     def __repr__(self) -> str:
         return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
