@@ -20,6 +20,10 @@ DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, Graphtra
 """Exceptions that a damaged state raises."""
 
 
+class OtherSettings(InputError):
+    """Error for a state of an object with other arguments."""
+
+
 def damaged(
     error: Exception, expected: str = "what a smoother saved", path: str | Path | None = None
 ) -> InputError:
@@ -143,8 +147,8 @@ def unpack(saved: Any, kind: Any, like: Any = None) -> Any:
 
     Parameters
     ----------
-    kind : float, int, bool, an array, Any, a tuple, list, dict or frozenset of these, a dataclass or a named
-        tuple with annotated fields, or one of them or None
+    kind : float, int, bool, str, an array, Any, a tuple, list, dict or frozenset of these, a dataclass or a
+        named tuple with annotated fields, or one of them or None
     like : a value of the same type, whose arrays have the same kind and, except for 0, the same further sizes
     """
     origin, inner = get_origin(kind) or kind, get_args(kind)
@@ -158,9 +162,10 @@ def unpack(saved: Any, kind: Any, like: Any = None) -> Any:
         return float(saved) if saved in ("nan", "inf", "-inf") else real(saved)
     if kind is int:
         return integer(saved)
-    if kind is bool:
-        if type(saved) is not bool:
-            raise TypeError(f"{str(saved)[:40]!r} in place of true or false")
+    if kind in (bool, str):
+        if type(saved) is not kind:
+            expected = "text" if kind is str else "true or false"
+            raise TypeError(f"{str(saved)[:40]!r} in place of {expected}")
         return saved
     if origin is np.ndarray:
         return _array(saved, like)
@@ -171,6 +176,8 @@ def unpack(saved: Any, kind: Any, like: Any = None) -> Any:
     if origin in (tuple, list, frozenset):
         return origin(unpack(one, inner[0]) for one in saved)
     hints = get_type_hints(kind)
+    if not hints:
+        raise TypeError(f"{kind} is no type that a state can hold")
     return kind(**{name: unpack(saved[name], of, getattr(like, name, None)) for name, of in hints.items()})
 
 
@@ -209,7 +216,8 @@ class Saved:
             elif own is not None and saved is not None:
                 own.restore(saved)
             elif own is not saved:
-                raise TypeError(f"{name} of other settings")
+                settings = (f"{'a' if one is not None else 'no'} {name.strip('_')}" for one in (saved, own))
+                raise OtherSettings(*settings)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], *arguments: Any, **options: Any) -> Self:
@@ -227,6 +235,8 @@ class Saved:
         found = cls(*arguments, **options)
         try:
             found.restore(state)
+        except OtherSettings:
+            raise
         except DAMAGES as error:
             raise damaged(error) from error
         return found

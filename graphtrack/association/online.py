@@ -41,7 +41,7 @@ from graphtrack.association.scene import (
 )
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.saved import Saved
+from graphtrack.saved import OtherSettings, Saved
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 
@@ -251,8 +251,14 @@ class OnlineAssociation(Moves, Saved):
         return median(self._intervals) if self._intervals else 1.0
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over a `state`."""
+        """Take over a `state`; OtherSettings if its known parameters or its lag are others."""
+        own = {**self.known, "lag": self.lag}
         super().restore(state)
+        saved = {**self.known, "lag": self.lag}
+        for name in {**saved, **own}:
+            if saved.get(name) != own.get(name):
+                found, expected = (f"{name} = {one.get(name)}" for one in (saved, own))
+                raise OtherSettings(f"a state with {found}", f"one with {expected}")
         self._pack()
 
     @property

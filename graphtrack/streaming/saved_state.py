@@ -463,7 +463,8 @@ class Saving:
                 self._packed[track_id] = line_of(entry)
             for entry in entries[first_row:]:
                 rows = _rows_of(entry, people.rows, people.line)
-                if not rows:  # all rows so far were answered
+                if not rows:  # the input ended there, and all answers were given
+                    people.finish()
                     answers = []
                     continue
                 answers = people.answers_together(rows)
