@@ -28,6 +28,7 @@ from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def usable(rows: Rows) -> Rows:
 def _check_times(rows: Rows) -> None:
     t = rows.channels["t"]
     frame, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
-    other = np.flatnonzero(t != t[first][place])
+    other = np.flatnonzero(np.abs(t - t[first][place]) > TIME_TOLERANCE)
     if len(other):
         i = int(other[0])
         raise InputError(
@@ -147,7 +148,7 @@ def _check_times(rows: Rows) -> None:
             path=rows.path,
             line=rows.line_of(i),
         )
-    back = np.flatnonzero(np.diff(t[first]) <= 0.0)
+    back = np.flatnonzero(np.diff(t[first]) <= TIME_TOLERANCE)
     if len(back):
         i = int(first[back[0] + 1])
         raise InputError(
@@ -178,7 +179,7 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
 def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
     # A gap of two steps holds one frame without a detection.
-    short = np.diff(track.t) - np.diff(t).min() <= longest * (1.0 + 1e-9)
+    short = np.diff(track.t) - np.diff(t).min() <= longest + TIME_TOLERANCE
     gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
     # Frames without any detection are missing from the recording: they are inserted a step apart.
     between = [np.arange(a, b, step) for a, b in gaps]

@@ -19,6 +19,7 @@ from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 from graphtrack.saved import Saved, pack, unpack
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LEAST = -25.0
 """Logarithm of the smallest weight; smaller weights are below rounding next to a few people."""
@@ -202,7 +203,7 @@ class PathMemory(Saved):
         active, person = active[here], person[here]
         while len(active):
             due = LAGS[self._next[active]] + self._t[active]
-            is_due = due <= t + 1e-6
+            is_due = due <= t + TIME_TOLERANCE
             active, person, due = active[is_due], person[is_due], due[is_due]
             if not len(active):
                 break
@@ -210,12 +211,12 @@ class PathMemory(Saved):
             share = np.clip((due - before[person]) / np.maximum(gap, 1e-9), 0.0, 1.0)
             place = was[person] + share * (position[person] - was[person])
             straight = self._position[active] + LAGS[lag] * self._velocity[active]
-            sure = gap <= _LONGEST_GAP
+            sure = gap <= _LONGEST_GAP + TIME_TOLERANCE
             self._learn(active[sure], lag[sure], (place - straight)[sure])
             self._next[active] += 1
             more = self._next[active] < len(LAGS)
             active, person = active[more], person[more]
-        oldest = t - LAGS[-1] - _LONGEST_GAP
+        oldest = t - LAGS[-1] - _LONGEST_GAP - TIME_TOLERANCE
         open_ = (self._next[self._active] < len(LAGS)) & (self._t[self._active] > oldest)
         self._active = self._active[open_]
 

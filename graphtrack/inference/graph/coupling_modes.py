@@ -30,6 +30,7 @@ from graphtrack.inference.state import (
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
 _RECOUPLED = 0.05  # Relative change of a coupling from which a step's factors are re-evaluated
@@ -196,7 +197,7 @@ class CouplingModeSmoother:
         """Restart where the window costs less; return the newest step's estimate and the states, or None."""
         assert self._view is not None
         t = recent[-1].observation.t
-        other = None if t < self._search_from else self._view.other(states, AT_END)
+        other = None if t < self._search_from - TIME_TOLERANCE else self._view.other(states, AT_END)
         if other is None:
             return None
         window = self.graph.window()
