@@ -143,8 +143,8 @@ def _check_times(rows: Rows) -> None:
     if len(other):
         i = int(other[0])
         raise InputError(
-            f"frame {rows.frame[i]} at t = {t[i]:g}",
-            f"t = {t[first][place[i]]:g}, as in its other rows",
+            f"frame {rows.frame[i]} at t = {t[i]:.15g}",
+            f"t = {t[first][place[i]]:.15g}, as in its other rows",
             path=rows.path,
             line=rows.line_of(i),
         )
@@ -152,8 +152,8 @@ def _check_times(rows: Rows) -> None:
     if len(back):
         i = int(first[back[0] + 1])
         raise InputError(
-            f"frame {rows.frame[i]} at t = {t[i]:g}",
-            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:g}",
+            f"frame {rows.frame[i]} at t = {t[i]:.15g}",
+            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:.15g}",
             path=rows.path,
             line=rows.line_of(i),
         )
@@ -163,7 +163,9 @@ def detections_of(rows: Rows) -> tuple[Rows, Detections]:
     """The usable rows, and their channels that the evidence reads."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
-    return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+    _, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
+    t = rows.channels["t"][first][place]  # of its frame: rounding must not change the order within it
+    return rows, Detections(rows.frame, t, rows.channels["position"], channels)
 
 
 def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:

@@ -26,9 +26,7 @@ _LEAST = -25.0
 
 
 @allocating
-def kernel_sums(
-    here: NDArray[np.float32], there: NDArray[np.float32], values: NDArray[np.float32], count: int
-) -> FloatArray:
+def kernel_sums(here: FloatArray, there: FloatArray, values: NDArray[np.float32], count: int) -> FloatArray:
     """Return (n, G) sums of the values at points ``there``, by a Gaussian kernel of width 1 about ``here``.
 
     Parameters
@@ -124,7 +122,7 @@ class PathMemory(Saved):
         self._parameters, self._judge = parameters, judge
         self._random = np.random.default_rng(0)
         self._count = 0
-        self._where = np.zeros((4, _CAPACITY), np.float32)
+        self._where = np.zeros((4, _CAPACITY))  # double: places may be far from the origin
         self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
         self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
         self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
@@ -151,10 +149,11 @@ class PathMemory(Saved):
                 getattr(self, name)[rows] = unpack(state[name], np.ndarray)
         self._where[:, : len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
 
-    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
+    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> FloatArray:
         near, alike = self._parameters.place_distance, self._parameters.place_velocity
-        columns = (position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike)
-        return np.stack(columns).astype(np.float32)
+        return np.stack(
+            [position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike]
+        )
 
     def add(
         self,
