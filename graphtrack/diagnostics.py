@@ -28,6 +28,7 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.model.parameters import Parameters, range_of
 from graphtrack.packages import special
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, observed_angle
 
 if TYPE_CHECKING:
@@ -374,13 +375,13 @@ def offset_of(track: Track, name: str) -> float:
         return math.nan
     t, position = track.t[place], track.position[place]
     at = track.t[observed]
-    before = np.clip(np.searchsorted(t, at - 0.5 * BASE), 0, len(t) - 1)
-    after = np.clip(np.searchsorted(t, at + 0.5 * BASE), 0, len(t) - 1)
+    before = np.clip(np.searchsorted(t, at - 0.5 * BASE - TIME_TOLERANCE), 0, len(t) - 1)
+    after = np.clip(np.searchsorted(t, at + 0.5 * BASE - TIME_TOLERANCE), 0, len(t) - 1)
     # The interval is centred on the frame, so that turns within it average out.
     apart, seconds = position[after] - position[before], t[after] - t[before]
     off_centre = np.abs(0.5 * (t[after] + t[before]) - at)
-    moves = (np.linalg.norm(apart, axis=1) > MOVING * seconds) & (seconds >= 0.5 * BASE)
-    moves &= off_centre <= 0.25 * np.maximum(seconds, BASE)
+    moves = (np.linalg.norm(apart, axis=1) > MOVING * seconds) & (seconds >= 0.5 * BASE - TIME_TOLERANCE)
+    moves &= off_centre <= 0.25 * np.maximum(seconds, BASE) + TIME_TOLERANCE
     if moves.sum() < FEWEST_FOR_BIAS:
         return math.nan
     offsets = angle[observed][moves] - np.arctan2(apart[moves, 1], apart[moves, 0])

@@ -31,6 +31,7 @@ from graphtrack.saved import Saved, integer
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows
+from graphtrack.tracks.time import distinct_times
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import APPEARANCE, INPUT
 
@@ -377,14 +378,14 @@ def track_rows(
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
     given = [name for name in rows.channels if name.startswith(INPUT)]
     inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}
-    times = rows.channels["t"]
-    order = np.lexsort((np.arange(len(rows)), times))
-    starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
+    times, place = distinct_times(rows.channels["t"])
+    order = np.argsort(place, kind="stable")
+    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
     estimates: dict[int, list[tuple[int, PersonEstimate]]] = {}
     revised = 0
-    for group in np.split(order, starts[1:]):
-        rows_of_frame, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
+    for t, group in zip(times.tolist(), np.split(order, starts[1:]), strict=True):
+        rows_of_frame, frame = group.tolist(), int(rows.frame[group[0]])
         observations = [observation_at(k, t, frame, channels, inputs) for k in rows_of_frame]
         for person in tracker.update(t, observations):
             estimates.setdefault(person.track_id, []).append((frame, person))

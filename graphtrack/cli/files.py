@@ -80,10 +80,12 @@ def _speeds(track: Track) -> Any:
     """
     import numpy as np
 
+    from graphtrack.tracks.time import TIME_TOLERANCE
+
     has_position = np.isfinite(track.position).all(axis=1)
     t, position = track.t[has_position] - track.t[0], track.position[has_position]
-    begin = np.searchsorted(t, t - _WINDOW - 1e-6)
-    end = np.searchsorted(t, t + _WINDOW + 1e-6)
+    begin = np.searchsorted(t, t - _WINDOW - TIME_TOLERANCE)
+    end = np.searchsorted(t, t + _WINDOW + TIME_TOLERANCE)
     columns = np.column_stack([np.ones(len(t)), t, t * t, position, t[:, None] * position])
     sums = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
     n, first, second, x, y, tx, ty = (sums[end] - sums[begin]).T

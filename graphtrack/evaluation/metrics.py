@@ -16,6 +16,7 @@ from scipy.special import chdtri
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
 if TYPE_CHECKING:
@@ -394,5 +395,5 @@ def _same_times(t: FloatArray, truth: FloatArray) -> tuple[NDArray[np.int64], ND
     after = np.minimum(np.searchsorted(truth, t), len(truth) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(truth[before] - t) <= np.abs(truth[after] - t), before, after)
-    here = np.flatnonzero(np.abs(truth[nearest] - t) <= SAME_TIME * step)
+    here = np.flatnonzero(np.abs(truth[nearest] - t) <= SAME_TIME * step + TIME_TOLERANCE)
     return here, nearest[here]

@@ -14,13 +14,14 @@ import numpy as np
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, N
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS
 from graphtrack.packages import gtsam
 from graphtrack.saved import DAMAGES, check_numbers, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 from graphtrack.tracks.validation import FIELDS, FINITE, LARGEST_SECONDS, Bounds, real_numbers
 

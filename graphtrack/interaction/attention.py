@@ -19,6 +19,7 @@ from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Pla
 from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
@@ -461,7 +462,8 @@ class OnlineAttention(Saved):
         kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
-        away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
+        kept_until = known.t + _FORGOTTEN / parameters[SWITCHING] + TIME_TOLERANCE
+        away = np.flatnonzero(gone & (t <= kept_until))
         self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
         return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)

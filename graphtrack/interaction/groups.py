@@ -23,6 +23,7 @@ from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import Saved
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,7 +286,8 @@ class Numbering(Saved):
         return [taken[place] for place in range(len(members))]
 
     def _forget(self, t: float) -> None:
-        for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:
+        oldest = t - self._memory - TIME_TOLERANCE
+        for number in [number for number, (then, _) in self._last.items() if then < oldest]:
             self._part(number, self._last.pop(number)[1])
 
     def _part(self, number: int, member: frozenset[int]) -> None:

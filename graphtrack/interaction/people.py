@@ -25,6 +25,7 @@ from graphtrack.geometry.angles import (
 from graphtrack.interaction.gaze_model import half_angle
 from graphtrack.io.source import Source
 from graphtrack.io.text import expected_number, parse_number
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import LARGEST_METRES
 
@@ -141,11 +142,9 @@ def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
     count = len(t)
     if count < 2:
         return np.zeros((count, 2))
-    each = np.arange(count)
-    before = np.minimum(np.searchsorted(t, t - _SLOPE_SECONDS), np.maximum(each - 1, 0))
-    after = np.maximum(
-        np.searchsorted(t, t + _SLOPE_SECONDS, side="right") - 1, np.minimum(each + 1, count - 1)
-    )
+    each, reach = np.arange(count), _SLOPE_SECONDS + TIME_TOLERANCE
+    before = np.minimum(np.searchsorted(t, t - reach), np.maximum(each - 1, 0))
+    after = np.maximum(np.searchsorted(t, t + reach, side="right") - 1, np.minimum(each + 1, count - 1))
     if online:
         past: FloatArray = (position - position[before]) / np.where(each > 0, t - t[before], 1.0)[:, None]
         return past

@@ -27,6 +27,7 @@ from graphtrack.model import Observation
 from graphtrack.saved import Saved
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 FRAMES = "frames"
 """Key of `EndedFrames` among the saved members of a stream."""
@@ -156,14 +157,14 @@ class EndedFrames(Saved):
         if estimate.status == "waiting":
             return []
         rows: list[dict[str, Any]] = []
-        if observation.t > self._t:
+        if observation.t > self._t + TIME_TOLERANCE:
             rows = self.finish()
             self._t, self._frame, self._is_open = observation.t, observation.frame, True
         if not self._is_open:
             return rows
-        if self._behaviour is not None and estimate.t == self._t:
+        if self._behaviour is not None and abs(estimate.t - self._t) <= TIME_TOLERANCE:
             self._people[track_id] = numbers_of(estimate)
-        if self._forecaster is not None and observation.t == self._t:
+        if self._forecaster is not None and abs(observation.t - self._t) <= TIME_TOLERANCE:
             at = observation.position
             x, y = estimate.position.tolist() if at is None else at
             given = (observation.position_std, observation.head)
@@ -335,7 +336,7 @@ class TrackAnswers(Answering):
     def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
         after, last = self._bounds.forget_after, smoother.last
         # A person without a position so far has no estimate, and no state is kept.
-        return after is not None and (last is None or last.t < now - after)
+        return after is not None and (last is None or last.t < now - after - TIME_TOLERANCE)
 
     def _forget(self, now: float) -> None:
         """Drop people without a row for `Bounds.forget_after`."""
@@ -454,8 +455,8 @@ class Scenes(Answering):
             raise InputError("neither t nor frame", "the time of the observation", column="t")
         one = observation_of({**cells, "frame": number or 0}, self.fps)
         frame = self.members.get(name)
-        if frame is not None and frame.t is not None and one.t < frame.t:
-            raise InputError(f"t = {one.t:g}", f"a time from {frame.t:g} on", column="t")
+        if frame is not None and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
+            raise InputError(f"t = {one.t:.15g}", f"a time from {frame.t:.15g} on", column="t")
         tracker = self._make() if frame is None else frame.tracker
         one = tracker.on_the_ground(one, one.t)
         tracker.check_time(one.t)
@@ -465,8 +466,8 @@ class Scenes(Answering):
             frame = self._begin(tracker)
         self.before_change(name)
         self.members[name] = frame
-        found_rows = self._flush(name) if frame.t is not None and one.t > frame.t else []
-        frame.t, frame.number = one.t, number
+        found_rows = self._flush_before(name, one.t)
+        frame.t, frame.number = one.t if frame.t is None else frame.t, number
         frame.observations.append(one)
         return found_rows
 
@@ -474,17 +475,22 @@ class Scenes(Answering):
         frame = self.members.get(name)
         if frame is None:
             frame = self._begin(self._make())
-        if frame.t is not None and t < frame.t:
-            raise InputError(f"end = {t:g}", f"a time from {frame.t:g} on", column="end")
+        if frame.t is not None and t < frame.t - TIME_TOLERANCE:
+            raise InputError(f"end = {t:.15g}", f"a time from {frame.t:.15g} on", column="end")
         frame.tracker.check_time(t)
         self.before_change(name)
         self.members[name] = frame
-        rows = self._flush(name) if frame.t is not None and t > frame.t else []
-        frame.t = t
+        rows = self._flush_before(name, t)
+        frame.t = t if frame.t is None else frame.t
         return rows + self._flush(name)
 
     def _begin(self, tracker: OnlineTracker) -> Frame:
         return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked))
+
+    def _flush_before(self, name: Name, t: float) -> list[dict[str, Any]]:
+        """Pass the frame to the tracker if a time (seconds) is after it."""
+        last = self.members[name].t
+        return self._flush(name) if last is not None and t > last + TIME_TOLERANCE else []
 
     def _flush(self, name: Name) -> list[dict[str, Any]]:
         """Pass the ended frame to the tracker, and return its people."""

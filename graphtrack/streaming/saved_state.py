@@ -37,7 +37,7 @@ from graphtrack.model import Model
 from graphtrack.saved import count, damaged
 from graphtrack.streaming.protocol import Answering
 
-VERSION = 4
+VERSION = 5
 """Version of the format and of the meaning of its lines."""
 
 _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")

@@ -34,6 +34,7 @@ from graphtrack.tracks.time import (
     Plane,
     TimeScale,
     check_time_unit,
+    distinct_times,
     from_dates,
     from_numbers,
     from_text,
@@ -684,7 +685,7 @@ def with_frames(
     t = columns["t"]
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
-    known, place = np.unique(t, return_inverse=True)
+    known, place = distinct_times(t)
     frames, how = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
     notes.append(f"no frames: {how}")

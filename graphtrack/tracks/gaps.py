@@ -13,6 +13,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_FRAME, is_number
 
@@ -23,8 +24,6 @@ LONGEST_BETWEEN = 1.0
 """Seconds between two sightings up to which positions between them are interpolated."""
 
 _MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
-
-_SAME_TIME = 1e-6  # seconds within which two times are equal
 
 
 def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
@@ -52,7 +51,7 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
     """Return the number of gaps that `filled` leaves because they are longer than ``longest`` seconds."""
-    return sum(int((np.diff(track.t) > longest).sum()) for track in tracks)
+    return sum(int((np.diff(track.t) > longest + TIME_TOLERANCE).sum()) for track in tracks)
 
 
 def _filled(track: Track, usual: float, longest: float) -> Track:
@@ -60,7 +59,7 @@ def _filled(track: Track, usual: float, longest: float) -> Track:
         return track
     apart = np.diff(track.frame)
     step = max(1, round(min(float(np.median(apart)), usual)))
-    gaps = np.flatnonzero((apart > 1.5 * step) & (np.diff(track.t) <= longest))
+    gaps = np.flatnonzero((apart > 1.5 * step) & (np.diff(track.t) <= longest + TIME_TOLERANCE))
     between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
     frame = np.unique(np.concatenate([track.frame, *between]))
     return with_rows(track, frame, np.interp(frame, track.frame, track.t))
@@ -95,7 +94,7 @@ def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
-        on = np.abs((track.t - origin) - ticks / hz) <= _SAME_TIME
+        on = np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE
         return replace(track[on], frame=ticks[on].astype(np.int64))
 
     return tracks.map(select)
@@ -103,11 +102,11 @@ def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
 
 def _at_rate(track: Track, origin: float, hz: float) -> Track:
     begin, end = track.t[0] - origin, track.t[-1] - origin
-    ticks = np.arange(math.ceil(begin * hz - _SAME_TIME * hz), math.floor(end * hz + _SAME_TIME * hz) + 1)
+    ticks = np.arange(math.ceil((begin - TIME_TOLERANCE) * hz), math.floor((end + TIME_TOLERANCE) * hz) + 1)
     times = origin + ticks / hz
     after = np.clip(np.searchsorted(track.t, times), 0, len(track) - 1)
     apart = np.minimum(np.abs(times - track.t[after]), np.abs(times - track.t[np.maximum(after - 1, 0)]))
-    t = np.sort(np.concatenate([track.t, times[apart > _SAME_TIME]]))
+    t = np.sort(np.concatenate([track.t, times[apart > TIME_TOLERANCE]]))
     renumbered = replace(track, frame=np.searchsorted(t, track.t).astype(np.int64))
     return with_rows(renumbered, np.arange(len(t)), t)
 
@@ -151,10 +150,11 @@ def positions_at(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatAr
     if known.sum() < 2:
         return np.full((*at.shape, 2), np.nan)
     t, position = t[known], position[known]
-    after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
+    after = np.clip(np.searchsorted(t, at - TIME_TOLERANCE), 1, len(t) - 1)
+    since, until = at - t[after - 1], t[after] - at
     apart = t[after] - t[after - 1]
-    share = (at - t[after - 1]) / apart
-    inside = (share > -1e-6) & (share < 1.0 + 1e-4)
-    inside &= (apart <= LONGEST_BETWEEN) | (np.abs(share - 1.0) < 1e-4) | (np.abs(share) < 1e-4)
+    share = since / apart
+    inside = (since > -TIME_TOLERANCE) & (until > -TIME_TOLERANCE)
+    inside &= (apart <= LONGEST_BETWEEN + TIME_TOLERANCE) | (np.minimum(since, until) < TIME_TOLERANCE)
     found = position[after - 1] + share[..., None] * (position[after] - position[after - 1])
     return np.where(inside[..., None], found, np.nan)

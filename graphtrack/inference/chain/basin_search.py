@@ -20,6 +20,7 @@ from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums
 from graphtrack.model.generator import set_quarter_turns
 from graphtrack.model.terms.orientation import angle_cost
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 Single = NDArray[np.float32]
 
@@ -417,7 +418,7 @@ def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace
                     if begin < 0:
                         begin, turned = max(k - 1, 0), step
                     slow, since, at_slow = k, 0.0, turned
-                if begin < 0 or (since <= BRIEF and k < frames - 1):
+                if begin < 0 or (since <= BRIEF + TIME_TOLERANCE and k < frames - 1):
                     continue
                 # The stretch is over: it lasted up to the frame after the last slow one.
                 variance = 0.0

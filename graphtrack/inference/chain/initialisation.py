@@ -21,7 +21,6 @@ from graphtrack.kernels.compilation import allocating, compiled, inner
 from graphtrack.kernels.layout import (
     BODY,
     HEAD,
-    TIME_TOLERANCE,
     VX,
     VY,
     N,
@@ -34,6 +33,7 @@ from graphtrack.model.generator import program_of
 from graphtrack.model.observation import require_position
 from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import filled, types_of
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track
 
 

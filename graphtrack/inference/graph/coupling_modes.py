@@ -31,6 +31,7 @@ from graphtrack.inference.state import (
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
 _RECOUPLED = 0.05  # Relative change of a coupling from which a step's factors are re-evaluated
@@ -213,7 +214,7 @@ class CouplingModeSmoother:
         assert self._view is not None
         t = recent[-1].observation.t
         other = self._view.off_saddle(states) if _is_opposed(newest) else None
-        if other is None and self._searches and t >= self._search_from:
+        if other is None and self._searches and t >= self._search_from - TIME_TOLERANCE:
             other = self._view.other(states, AT_END)
         if other is None:
             return None

@@ -27,7 +27,7 @@ from graphtrack.tracks.cells import METRES, Layout, numbered_names, numbered_tim
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import is_input_name, repeated
 from graphtrack.tracks.table import AsRead, Rows
-from graphtrack.tracks.time import TimeScale, from_dates
+from graphtrack.tracks.time import TimeScale, distinct_times, from_dates
 from graphtrack.tracks.track import TrackSet, channel_of
 from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
 
@@ -194,7 +194,7 @@ def frames_and_times(
     elif rate is not None and np.abs(t * rate - np.rint(t * rate)).max(initial=0.0) < 0.25:
         frame = _integers(np.rint(t * rate), path)
     else:
-        known, place = np.unique(t, return_inverse=True)
+        known, place = distinct_times(t)
         numbers, how = numbered_times(known)
         frame = numbers[place].astype(np.int64)
         notes.append(f"no frames: {how}")
