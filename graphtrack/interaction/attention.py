@@ -397,12 +397,15 @@ class OnlineAttention(Saved):
     Examples
     --------
     >>> import graphtrack as gt
-    >>> tracker, groups, attention = gt.OnlineTracker("joint"), gt.OnlineGroups(), gt.OnlineAttention()
+    >>> groups, attention = gt.OnlineGroups(), gt.OnlineAttention()
+    >>> smoothers = {1: gt.OnlineSmoother("joint"), 2: gt.OnlineSmoother("joint")}
     >>> for k in range(10):
-    ...     people = tracker.update(0.2 * k, [gt.Observation(0.0, position=(x, 0.0), head=a, head_kappa=50.0)
-    ...                                       for x, a in ((0.0, 0.0), (2.0, 1.6))])
-    ...     looks = attention.update(0.2 * k, people, groups.update(0.2 * k, people))
-    >>> max(looks.told()[1], key=lambda look: look[2])[:2]
+    ...     people = {
+    ...         number: smoothers[number].update(gt.Observation(0.2 * k, position=(x, 0.0), head=head))
+    ...         for number, x, head in ((1, 0.0, 0.0), (2, 2.0, 1.6))
+    ...     }
+    ...     targets = attention.update(0.2 * k, people, groups.update(0.2 * k, people))
+    >>> max(targets.by_person()[1], key=lambda target: target[2])[:2]
     ('person', 2)
     """
 
