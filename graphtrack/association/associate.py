@@ -25,7 +25,7 @@ from graphtrack.io.read_write import (
 )
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
-from graphtrack.tracks.gaps import with_rows
+from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -182,6 +182,7 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
     # A gap of two steps holds one frame without a detection.
     short = np.diff(track.t) - np.diff(t).min() <= longest + TIME_TOLERANCE
+    short &= np.diff(track.frame) <= FASTEST * usual_rate([(frames, t)]) * np.diff(track.t)
     gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
     # Frames without any detection are missing from the recording: they are inserted a step apart.
     between = [np.arange(a, b, step) for a, b in gaps]

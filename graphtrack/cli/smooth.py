@@ -246,7 +246,7 @@ def smooth(
 
 def _without_gaps(tracks: TrackSet) -> TrackSet:
     """Insert missing frames, and report their number."""
-    from graphtrack.tracks.gaps import LONGEST_FILLED, filled, unfilled_gaps
+    from graphtrack.tracks.gaps import LONGEST_FILLED, filled, gaps_without_time, unfilled_gaps
 
     found = filled(tracks)
     inserted, left = found.n_frames - tracks.n_frames, unfilled_gaps(tracks)
@@ -257,4 +257,6 @@ def _without_gaps(tracks: TrackSet) -> TrackSet:
         emit(f"  note: {verdict}")
     if left:
         emit(f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
+    if odd := gaps_without_time(tracks):
+        emit(f"  note: {counted(odd, 'gap')} not filled, whose frame numbers do not fit the times")
     return found

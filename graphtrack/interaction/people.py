@@ -256,12 +256,14 @@ def read_places(path: str | Path) -> list[Place]:
         expected = "name and x, y, radius, or name and polygon"
         raise InputError(f"the columns {', '.join(header)[:80]}", expected, path=source.path)
     places: list[Place] = []
+    names: set[str] = set()
     for row in reader:
         line = reader.line_num
         name = (row.get("name") or "").strip()
-        if not name or name in [place.name for place in places]:
+        if not name or name in names:
             found = f"the name {name!r} again" if name else "no name"
             raise InputError(found, "a name for each place", path=source.path, line=line, column="name")
+        names.add(name)
         cells = {key: (row.get(key) or "").strip() for key in ("x", "y", "radius", "polygon")}
         if bool(cells["radius"]) == bool(cells["polygon"]):
             found = f"place {name!r} with {'both' if cells['radius'] else 'neither radius nor polygon'}"

@@ -242,7 +242,7 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     """Return the source with text as UTF-8, commas and decimal points, by the options; for a bag its path."""
     place = table_in(place_of(path))
     if is_recording(place):
-        return Source(place, b"")
+        return Source(place, b"", options.limit(place))
     if place.is_dir():
         expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
         raise InputError("a directory", expected, path=path)
@@ -250,7 +250,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
     with read_errors(place):
-        return in_utf8(Source.open(place), options.delimiter, options.decimal, options.encoding)
+        source = Source.open(place, options.limit(place))
+        return in_utf8(source, options.delimiter, options.decimal, options.encoding)
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:

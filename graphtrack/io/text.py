@@ -29,8 +29,9 @@ _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spac
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # as typed after ``--delimiter``
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """Excel's line before a header."""
-_NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
+_LONGEST_NUMBER = 15
 _FEWEST = 4  # fewest numbers in a row of a table without a header
 
 
@@ -181,6 +182,13 @@ def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
         else:
             writer.writerow(row)
     return out.getvalue()
+
+
+def trailing_number(text: str) -> int | None:
+    """Return the number, of 15 digits at most, at the end of a text such as a file's name; else None."""
+    digits = text[len(text.rstrip("0123456789")) :]
+    significant = digits.lstrip("0")
+    return int(significant or "0") if digits and len(significant) <= _LONGEST_NUMBER else None
 
 
 def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -> bool:

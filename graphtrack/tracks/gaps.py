@@ -7,9 +7,11 @@ posterior and not an interpolation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -23,6 +25,12 @@ LONGEST_FILLED = 60.0
 LONGEST_BETWEEN = 1.0
 """Seconds between two sightings up to which positions between them are interpolated."""
 
+_MOST_FILLED, _MOST_TIMES = 1_000_000, 100
+"""Rows with filled gaps: at most so many, or so many times as many as without."""
+
+FASTEST = 10.0
+"""Frames a second of a gap that is filled, times the usual ones: other frame numbers do not count time."""
+
 _MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
 
 
@@ -31,7 +39,8 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
 
     A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
     steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
-    the gap.
+    the gap. A gap whose frames would follow each other ten times faster than the frames around it is left,
+    since its frame numbers do not count time.
 
     Parameters
     ----------
@@ -45,8 +54,14 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     steps = [np.diff(track.frame) for track in tracks if len(track) > 1]
     if not steps:
         return tracks
-    usual = float(np.median(np.concatenate(steps)))
-    return tracks.map(lambda track: _filled(track, usual, longest))
+    usual, rate = float(np.median(np.concatenate(steps))), usual_rate((one.frame, one.t) for one in tracks)
+    frames = [_with_gaps(track, usual, rate, longest) for track in tracks]
+    n_frames, most = sum(map(len, frames)), max(_MOST_FILLED, _MOST_TIMES * tracks.n_frames)
+    if n_frames > most:
+        found = f"{n_frames:,} rows with filled gaps, for {tracks.n_frames:,}"
+        raise InputError(found, f"at most {most:,}; --no-fill leaves the gaps")
+    by_id = {track.track_id: frame for track, frame in zip(tracks, frames, strict=True)}
+    return tracks.map(lambda track: _filled(track, by_id[track.track_id]))
 
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
@@ -54,14 +69,36 @@ def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
     return sum(int((np.diff(track.t) > longest + TIME_TOLERANCE).sum()) for track in tracks)
 
 
-def _filled(track: Track, usual: float, longest: float) -> Track:
+def gaps_without_time(tracks: TrackSet) -> int:
+    """Return the number of gaps that `filled` leaves because their frame numbers do not count time."""
+    rate = usual_rate((one.frame, one.t) for one in tracks)
+    return sum(int((np.diff(one.frame) > FASTEST * rate * np.diff(one.t)).sum()) for one in tracks)
+
+
+def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
+    """Return the median of frame numbers a second between rows, given their frames and seconds (n,)."""
+    rates = np.concatenate([np.empty(0), *(np.diff(frame) / np.diff(t) for frame, t in rows)])
+    return float(np.median(rates)) if len(rates) else 0.0
+
+
+def _with_gaps(track: Track, usual: float, rate: float, longest: float) -> NDArray[np.int64]:
+    """Return the frames of a track and of its gaps."""
     if len(track) < 2:
-        return track
-    apart = np.diff(track.frame)
+        return track.frame
+    apart, seconds = np.diff(track.frame), np.diff(track.t)
     step = max(1, round(min(float(np.median(apart)), usual)))
-    gaps = np.flatnonzero((apart > 1.5 * step) & (np.diff(track.t) <= longest + TIME_TOLERANCE))
-    between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
-    frame = np.unique(np.concatenate([track.frame, *between]))
+    is_gap = (
+        (apart > 1.5 * step) & (seconds <= longest + TIME_TOLERANCE) & (apart <= FASTEST * rate * seconds)
+    )
+    between = [
+        np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in np.flatnonzero(is_gap)
+    ]
+    return np.unique(np.concatenate([track.frame, *between]))
+
+
+def _filled(track: Track, frame: NDArray[np.int64]) -> Track:
+    if len(frame) == len(track):
+        return track
     return with_rows(track, frame, np.interp(frame, track.frame, track.t))
 
 

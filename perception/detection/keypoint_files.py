@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,6 +13,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
+from graphtrack.io.text import trailing_number
+from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import LARGEST_FRAME
 from perception.detection.boxes import Detections
 from perception.pose.keypoints import BY_NUMBER, KNOWN, coco_indices, in_coco_order
@@ -119,15 +120,15 @@ def _what(data: Any) -> str:
 
 def _number_of(path: Path, name: str, frame_of: _FrameOf) -> int:
     """Return the frame of an image or file with this name without suffix."""
-    stem = re.sub(r"_keypoints$", "", name)
+    stem = name.removesuffix("_keypoints")
     known = frame_of(stem)
     if known is not None:
         return known
-    digits = re.search(r"(\d+)$", stem)
-    if digits is None:
-        found = f"a name without a frame's number, {name!r}"
+    number = trailing_number(stem)
+    if number is None:
+        found = f"a name without a frame's number, {shortened(name)}"
         raise InputError(found, "names that end in numbers, or are those of the images", path=path)
-    return _frame(int(digits[1]), path, name)
+    return _frame(number, path, shortened(name))
 
 
 def _frame(value: object, path: Path, place: str) -> int:
