@@ -32,7 +32,7 @@ from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     engine_of,
-    make_all_ready,
+    rehearsals,
 )
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
@@ -40,6 +40,7 @@ from graphtrack.inference.state import Estimate, as_track
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
@@ -316,14 +317,24 @@ def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Pr
     return scene.with_tracks(map(partial(as_track, model=model), scene, found))
 
 
+_SMOOTHING = ("smooth", "solve")
+_TRACKING = ("OnlineSmoother", "track_online")
+_DETECTIONS = ("OnlineTracker",)
+_BEHAVIOUR = ("groups", "OnlineGroups", "attention", "OnlineAttention", "forecast", "Forecaster")
+WARMED = (*_SMOOTHING, *_TRACKING, *_DETECTIONS, "associate", *_BEHAVIOUR)
+"""Functions and classes that `warm_up` takes by name."""
+
+
 def warm_up(
     model: Model | str | Path | None = None,
     engine: OnlineEngine | Literal["gtsam"] = "auto",
+    functions: str | Sequence[str] | None = None,
     *,
     behaviour: bool = False,
     large: bool = False,
+    walkable: bool = False,
 ) -> None:
-    """Compile, or load from disk, the kernels for smoothing and tracking with a model and an engine.
+    """Compile, or load from disk, all that the first calls of functions and classes would wait for.
 
     Without it the first call waits: half a second for loading or, once on a machine, about
     half a minute for compiling. The log ("graphtrack") then has a warning before and after, which Python
@@ -332,15 +343,44 @@ def warm_up(
     Parameters
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
-    behaviour : include kernels of groups, attention and forecasts
+    functions : names of those to be called: ``smooth`` (also ``solve``), ``OnlineSmoother``
+        (``track_online``), ``OnlineTracker``, ``associate``, ``groups`` (``OnlineGroups``), ``attention``
+        (``OnlineAttention``), ``forecast`` (``Forecaster``); None: the first four
+    behaviour : include groups, attention and forecasts
     large : include kernels that solve many tracks in lanes, where the model has them; they are used from
         `engine.LARGE` person-frames
-    """
-    if behaviour:
-        from graphtrack.interaction.attention import make_behaviour_ready
+    walkable : include kernels of walls, for a walkable area
 
-        make_behaviour_ready(forecasts=True)
-    make_all_ready(Model.named(model), engine, large=large)
+    Raises
+    ------
+    InputError
+        For a name that is none of these.
+    """
+    from graphtrack.association import offline as association
+    from graphtrack.forecasting import forecaster
+    from graphtrack.interaction import attention, groups
+
+    chosen = Model.named(model)
+    named = [functions] if isinstance(functions, str) else functions
+    wanted = {*_SMOOTHING, *_TRACKING, *_DETECTIONS, "associate"} if named is None else set(named)
+    for one in sorted(wanted - set(WARMED)):
+        raise InputError(f"the function {one!r}", f"one of {', '.join(WARMED)}")
+    wanted |= set(_BEHAVIOUR) if behaviour else set()
+    of_tracks = not wanted.isdisjoint((*_SMOOTHING, *_TRACKING, *_DETECTIONS))
+    found: list[Rehearsal] = []
+    for each in (chosen, chosen.with_terms(StaysInside)) if walkable else (chosen,):
+        offline = not wanted.isdisjoint(_SMOOTHING)
+        online = not wanted.isdisjoint((*_TRACKING, *_DETECTIONS))
+        found += rehearsals(each, engine, offline=offline, online=online, large=large)
+    if not wanted.isdisjoint((*_SMOOTHING, *_DETECTIONS, "associate")):
+        found.append(association.REHEARSAL)
+    if (chosen.has_groups and of_tracks) or not wanted.isdisjoint(_BEHAVIOUR[:4]):
+        found.append(groups.REHEARSAL)
+    if not wanted.isdisjoint(_BEHAVIOUR[2:4]):
+        found.append(attention.REHEARSAL)
+    if not wanted.isdisjoint((*_DETECTIONS, *_BEHAVIOUR[4:])):
+        found.append(forecaster.REHEARSAL)
+    make_ready("what was asked for" if named is None else ", ".join(named), *found)
 
 
 _UNASKED = 1500  # frames that are kept until the first forecast

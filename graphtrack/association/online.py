@@ -28,6 +28,7 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.moves import Moves
+from graphtrack.association.offline import make_association_ready
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -225,6 +226,7 @@ class OnlineAssociation(Moves, Saved):
     def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
         if not lag > 0.0:
             raise InputError(f"lag = {lag}", "a positive number of seconds")
+        make_association_ready()
         self.known, self.lag = known_values(scene), lag
         self.scene = SceneParameters(**self.known)
         empty, none = np.zeros(0), np.zeros(0, np.int64)

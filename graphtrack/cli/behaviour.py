@@ -48,7 +48,6 @@ def groups(
     parameters : Output of 'graphtrack fit --groups' (.toml).
     online : Use only the past of each frame, as in a live scene.
     """
-    from graphtrack.interaction.attention import make_behaviour_ready
     from graphtrack.interaction.groups import groups as find
     from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.interaction.scores import score_groups
@@ -63,7 +62,6 @@ def groups(
     chosen = None if parameters is None else GroupParameters.load(parameters)
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
-    make_behaviour_ready()
     found = find(tracks, chosen, online=online)
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
     write_table(with_names(found.columns(), tracks.as_read), output)
@@ -146,7 +144,6 @@ def attention(
     from graphtrack.interaction.attention import (
         AttentionParameters,
         attention_columns,
-        make_behaviour_ready,
         summary_of,
     )
     from graphtrack.interaction.attention import attention as find
@@ -170,7 +167,6 @@ def attention(
     chosen = None if parameters is None else AttentionParameters.load(parameters)
     labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
-    make_behaviour_ready()
     found = find(tracks, known, chosen, online=online)
     score = None if labels is None else score_gaze(found, labels)
     columns = attention_columns(found)

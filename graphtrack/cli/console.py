@@ -8,6 +8,7 @@ import json
 import logging
 import re
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -104,12 +105,19 @@ def fail(message: str) -> None:
     raise SystemExit(BAD_INPUT)
 
 
+_REPORTED_AFTER = 20.0  # seconds between lines of progress without a terminal
+
+
 @contextmanager
 def progress_bar(total: int | None, unit: str = "person-frames") -> Iterator[Callable[..., None]]:
-    """Show a progress bar on standard error; yield the function that advances it.
+    """Show a progress bar on standard error, or lines where that is no terminal.
 
-    It takes the number of steps done since the last call, and the total where that was not known.
+    Yields the function that advances it: it takes the number of steps done since the last call, and the total
+    where that was not known.
     """
+    if not console.is_terminal:
+        yield _progress_lines(total, unit)
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -117,11 +125,23 @@ def progress_bar(total: int | None, unit: str = "person-frames") -> Iterator[Cal
         TextColumn(unit),
         TimeRemainingColumn(),
     )
-    # Without a terminal nothing is drawn, not even the empty line that a bar leaves behind.
-    hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("", total=total)
         yield lambda count, total=None: progress.update(task, advance=count, total=total)
+
+
+def _progress_lines(total: int | None, unit: str) -> Callable[..., None]:
+    """Return a function that advances progress, and reports it in a line if that takes long."""
+    done, all_of_it, reported = 0, total, time.monotonic()
+
+    def advance(count: int, total: int | None = None) -> None:
+        nonlocal done, all_of_it, reported
+        done, all_of_it = done + count, all_of_it if total is None else total
+        if time.monotonic() - reported >= _REPORTED_AFTER:
+            reported = time.monotonic()
+            emit(f"{done:,}{'' if all_of_it is None else f' of {all_of_it:,}'} {unit} …")
+
+    return advance
 
 
 class _Printed(logging.Handler):
@@ -283,15 +303,28 @@ def run_app(program: typer.Typer, name: str) -> None:
         fail_usage(error)
     except GraphtrackError as error:
         fail(str(error))
-    except typer.Abort:
-        raise KeyboardInterrupt from None
+    except typer.Abort as error:
+        # Typer raises it for Ctrl-C, and for a file that ends too early.
+        if not isinstance(error.__cause__, EOFError) or _is_interrupt(error):
+            raise KeyboardInterrupt from None
+        _fail_with(error.__cause__)
     except Exception as error:
         if _is_interrupt(error):
             raise KeyboardInterrupt from None
-        if not isinstance(error, ERRORS):
-            raise
-        place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
-        fail(f"{place}{described(error)}")
+        _fail_with(error)
+
+
+def _fail_with(error: Exception) -> None:
+    """Exit with one line for an error of a file or of the machine; raise any other."""
+    compilation = sys.modules.get("graphtrack.kernels.compilation")
+    if compilation is not None and compilation.is_of_kept_code(error):
+        folder = compilation.machine_code_folder()
+        compilation.discard()
+        fail(f"machine code in {folder} cannot be used ({described(error)}) and was deleted; run it again")
+    if not isinstance(error, ERRORS):
+        raise error
+    place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+    fail(f"{place}{described(error)}")
 
 
 def _is_interrupt(error: BaseException | None) -> bool:

@@ -167,6 +167,11 @@ def smooth(
     batch_frames : Person-frames or detections held at a time when streaming.
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
+    options.check_outputs(
+        {"--output": output, "--report": report},
+        {**reading.inputs(inputs, model), "--walkable": walkable},
+        table=output,
+    )
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
@@ -175,11 +180,6 @@ def smooth(
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
-    options.check_outputs(
-        {"--output": output, "--report": report},
-        {**reading.inputs(inputs, model), "--walkable": walkable},
-        table=output,
-    )
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)

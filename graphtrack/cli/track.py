@@ -58,11 +58,6 @@ def track(
     attention : Report gaze targets: people and --places.
     places : CSV of other gaze targets: name and x, y, radius, or name and polygon (x y x y …).
     """
-    from graphtrack.inference.engines import check_lag, online_engine
-    from graphtrack.inference.online import OnlineSmoother
-    from graphtrack.model import Model
-    from graphtrack.smoothing import track_online
-
     options.check_outputs(
         {"--output": output, "--state": state},
         {
@@ -72,6 +67,11 @@ def track(
         },
         table=output,
     )
+    from graphtrack.inference.engines import check_lag, online_engine
+    from graphtrack.inference.online import OnlineSmoother
+    from graphtrack.model import Model
+    from graphtrack.smoothing import track_online
+
     chosen = Model.named(model)
     kept = _seconds(lag)
     if reading.associate == "repair":

@@ -16,6 +16,7 @@ from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemo
 from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -181,6 +182,7 @@ class Forecaster(Saved):
     def __init__(
         self, parameters: ForecastParameters | None = None, walkable: AreaLike | None = None
     ) -> None:
+        make_forecasts_ready()
         self._area = None if walkable is None else WalkableArea.of(walkable)
         self.parameters = ForecastParameters() if parameters is None else parameters
         self._calibration = Calibration(self.parameters)
@@ -437,3 +439,18 @@ class Forecaster(Saved):
 
 def _plane(points: ComplexArray) -> FloatArray:
     return np.stack([points.real, points.imag], axis=-1)
+
+
+def make_forecasts_ready() -> None:
+    """Compile or load the functions of forecasts; the log reports a long wait."""
+    make_ready("forecasts", REHEARSAL)
+
+
+def _rehearse() -> None:
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
+    forecaster.forecast([0.4])
+
+
+REHEARSAL = Rehearsal("forecasts", _rehearse, 1.0)

@@ -265,22 +265,28 @@ def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
 OFFLINE = "the offline solver"
 
 
-def make_all_ready(
-    model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
-) -> None:
-    """Compile, or load, all functions for smoothing and tracking with a model and an engine.
+def rehearsals(
+    model: Model, engine: OnlineEngine | Literal["gtsam"], *, offline: bool, online: bool, large: bool = False
+) -> list[Rehearsal]:
+    """Return the rehearsals of smoothing and tracking with a model and an engine.
 
-    ``large``: also the solver of many tracks in lanes, where the model has it.
+    Parameters
+    ----------
+    engine : "gtsam" has no online solver; "fixed-lag" and "isam2" have no offline solver
+    offline, online : solvers that are wanted
+    large : also the solver of many tracks in lanes, where the model has it
     """
     if not is_chain(model):
-        make_ready(OFFLINE, _graph_rehearsal(None))
-    elif engine == "gtsam":
-        make_solver_ready(model, engine)
-    elif engine in ("fixed-lag", "isam2"):
-        make_online_ready(model, engine)
-    else:
-        ways = (False, True) if large and has_lanes(model) else (False,)
-        make_ready("the solver", *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
+        return [_graph_rehearsal(None)]
+    found: list[Rehearsal] = []
+    ways = (False, True) if large and has_lanes(model) else (False,)
+    if offline and engine == "gtsam":
+        found += _solver_rehearsals(model, "gtsam", None, ways)
+    elif offline and engine in ("auto", "chain"):
+        found += _solver_rehearsals(model, "chain", None, ways)
+    if online and engine != "gtsam":
+        found.append(_online_rehearsal(model) if engine in ("auto", "chain") else _graph_rehearsal(model))
+    return found
 
 
 def make_solver_ready(
@@ -296,11 +302,7 @@ def make_solver_ready(
     ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
     terms.
     """
-    if engine == "chain":
-        make_ready(OFFLINE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
-        return
-    own = has_own_kernels(model) and not model.has_modes
-    make_ready(OFFLINE, _graph_rehearsal(None if own and not complete else model))
+    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete))
 
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:
@@ -315,10 +317,18 @@ def has_own_kernels(model: Model) -> bool:
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
-def _chain_rehearsals(
-    model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
+def _solver_rehearsals(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None,
+    in_lanes: Collection[bool],
+    *,
+    complete: bool = False,
 ) -> list[Rehearsal]:
-    """Return rehearsals of the chain engine: the linear solution for linear models, and Newton's steps."""
+    """Return rehearsals of an offline engine; of chains the linear solution where it holds, else Newton's."""
+    if engine == "gtsam":
+        own = has_own_kernels(model) and not model.has_modes
+        return [_graph_rehearsal(None if own and not complete else model)]
     # Linear with the camera of a scene, where its tracks have no pixels.
     linear, like = model.is_linear(pack([TRACK], model)), _like(model)
     found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import Forecaster
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
 from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
-from graphtrack.interaction.groups import Groups, OnlineGroups
+from graphtrack.interaction.groups import REHEARSAL as GROUPS
+from graphtrack.interaction.groups import Groups, OnlineGroups, facing_people
 from graphtrack.interaction.groups import groups as find_groups
 from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Place, people_of_estimates
 from graphtrack.io.source import ParameterFile
@@ -104,6 +104,7 @@ def attention(
     groups : conversation groups; by default they are estimated
     online : True to use only the past of each frame
     """
+    make_attention_ready()
     chosen = AttentionParameters() if parameters is None else parameters
     everybody = sorted(tracks, key=lambda track: track.track_id)
     found = find_groups(everybody, online=online) if groups is None else groups
@@ -412,6 +413,7 @@ class OnlineAttention(Saved):
     _saved: ClassVar = {"t": float, "_known": _Known}
 
     def __init__(self, places: Sequence[Place] = (), parameters: AttentionParameters | None = None) -> None:
+        make_attention_ready()
         self.parameters = AttentionParameters() if parameters is None else parameters
         self.places = tuple(places)
         self._known = _nobody(len(self.places))
@@ -472,26 +474,18 @@ class OnlineAttention(Saved):
         return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)
 
 
-def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:
-    """Compile or load the kernels of groups and attention, or forecasts; the log reports a long wait."""
-    rehearsals = [Rehearsal("groups and looks", _rehearse, 12.0)] * groups
-    rehearsals += [Rehearsal("forecasts", _rehearse_forecast, 1.0)] * forecasts
-    make_ready(", ".join(one.name for one in rehearsals), *rehearsals)
+def make_attention_ready() -> None:
+    """Compile or load the functions of groups and gaze targets; the log reports a long wait."""
+    make_ready("groups and looks", GROUPS, REHEARSAL)
 
 
 def _rehearse() -> None:
-    groups = OnlineGroups()
-    attention = OnlineAttention([Place("made up", np.array([[0.0, 5.0]]), 0.5)])
-    for k in range(2):
-        aside = np.array([[0.0, 0.0], [1.0, 0.0]])
-        ahead = np.array([[0.9, 0.1], [-0.9, 0.1]])
-        rows, one = np.arange(2), np.array([k])
-        people = People(rows, one, 1.0 * one, np.array([0, 2]), rows, aside, 0.0 * aside, ahead, ahead)
-        attention.take(people, groups.take(people))
+    people, groups = facing_people(2), OnlineGroups()
+    online = OnlineAttention([Place("simulated", np.array([[0.0, 5.0]]), 0.5)])
+    for one in people.frames():
+        online.take(one, groups.take(one))
+    head = direction(people.head)
+    attention([Track(k, people.frame, people.t, people.position[k::2], head=head[k::2]) for k in (0, 1)])
 
 
-def _rehearse_forecast() -> None:
-    forecaster = Forecaster()
-    for k in range(3):
-        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
-    forecaster.forecast([0.4])
+REHEARSAL = Rehearsal("attention", _rehearse, 8.0)

@@ -20,7 +20,7 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
     walks,
 )
-from graphtrack.interaction.groups import groups_of
+from graphtrack.interaction.groups import groups_of, make_groups_ready
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
@@ -44,6 +44,7 @@ def solve_in_turn(
 
     The groups of the first round are those of estimates without any.
     """
+    make_groups_ready()
     nobody = tracks.map(lambda track: with_group(track, np.full((len(track), 3), np.nan)))
     found = solve(nobody)
     before: dict[int, set[frozenset[int]]] = {}
@@ -169,6 +170,7 @@ class Conversations(Saved):
     }
 
     def __init__(self, model: Model) -> None:
+        make_groups_ready()
         self._correlation_time = model.parameters.social.correlation_time
         self._evidence = OnlineEvidence(DEFAULT)
         self._known: dict[int, _Known] = {}
