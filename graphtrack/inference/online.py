@@ -8,6 +8,7 @@ estimate uses earlier observations only.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -16,7 +17,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
@@ -47,6 +48,7 @@ from graphtrack.inference.state import (
     unpack_state,
 )
 from graphtrack.model import Model, Observation, Step
+from graphtrack.model.given import never_used
 from graphtrack.model.observation import seconds_between
 from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
@@ -152,6 +154,7 @@ class OnlineSmoother:
                 else FixedLag(self.model, self.lag, *ends)
             )
             self._smoother = CouplingModeSmoother(graph, self.model, self.lag, couplings)
+        self._unused = never_used(self.model, camera)
         self._next_index = 0
         self._last: Estimate | None = None
         # Index of a step → the observations that are merged in it.
@@ -179,8 +182,18 @@ class OnlineSmoother:
         InputError
             If a time or value is not a number within bounds. The state is then unchanged.
         """
+        self._note_unused(observation)
         (estimate,) = self.update_together([self], [self.usable(observation)])
         return estimate
+
+    def _note_unused(self, observation: Observation) -> None:
+        """Warn once of each channel that an observation has and the model does not use."""
+        for name in self._unused:
+            if getattr(observation, name, None) is not None:
+                self._unused = tuple(one for one in self._unused if one != name)
+                warnings.warn(
+                    f"not used by the model {self.model.preset!r}: {name}", InputWarning, stacklevel=3
+                )
 
     def usable(self, observation: Observation) -> Observation:
         """Return the checked observation, with the position of its pixel; InputError as `update`."""

@@ -20,9 +20,17 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
 )
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
+from graphtrack.interaction.people import (
+    USED,
+    IntArray,
+    People,
+    PeopleEstimates,
+    people_of,
+    people_of_estimates,
+)
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import Saved
+from graphtrack.tracks.given import warn_unused
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -386,7 +394,9 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     online : whether the past alone counts in each frame, or both sides
     """
     chosen = DEFAULT if parameters is None else parameters
-    people = people_of(tracks_of(tracks), online=online)
+    given = tracks_of(tracks)
+    warn_unused(given, USED, "groups")
+    people = people_of(given, online=online)
     if not online:
         return groups_of(people, chosen, pair_evidence(people, chosen))
     known, numbering = OnlineEvidence(chosen), Numbering(chosen.memory_seconds)
