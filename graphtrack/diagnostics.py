@@ -26,8 +26,10 @@ from graphtrack.geometry.angles import (
     von_mises_log_density,
     wrap,
 )
+from graphtrack.model.given import notes_on
 from graphtrack.model.parameters import Parameters, range_of
 from graphtrack.packages import special
+from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, observed_angle
 
@@ -500,15 +502,20 @@ class Noise:
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:
-    """Return tracks and model to solve, and remarks on the noise; raise InputError for an unknown `Trust`."""
+    """Return tracks and model to solve, and notes on the noise and on channels that the model does not use.
+
+    Raise InputError for an unknown `Trust`.
+    """
     if trust not in ("declared", "check", "learn"):
         raise InputError(f"trust {trust!r}", "declared, check or learn")
+    notes = notes_on(tracks.tracks, model, tracks.camera)
+    tracks = tracks.map(with_position_noise)
     if trust == "declared":
-        return tracks, model, []
+        return tracks, model, notes
     noise = declared_noise(tracks.tracks, model)
     if trust == "check":
-        return tracks, model, noise.lines()
-    return *noise.corrected(tracks, model), noise.lines(corrected=True)
+        return tracks, model, [*notes, *noise.lines()]
+    return *noise.corrected(tracks, model), [*notes, *noise.lines(corrected=True)]
 
 
 _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "head": ("head_kappa", -2.0)}

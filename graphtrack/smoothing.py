@@ -42,11 +42,13 @@ from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
+from graphtrack.model.given import notes_on
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
+from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.scene import GivenScene, known_values
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -113,6 +115,7 @@ def solve_tracks(
 
     ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
     """
+    tracks = tracks.map(with_position_noise)
     if walkable is not None:
         plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options)
         return solve_inside(
@@ -289,15 +292,26 @@ def track_online(
     if not isinstance(tracks, Track) or reading:
         scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
         options["camera"] = scene.camera if camera is None else camera
+        scene = _noted(scene, chosen, options["camera"])
         if chosen.has_groups and lacks_groups(scene):
             return _in_step(scene, chosen, options, progress)
         return scene.map(lambda one: _by_itself(one, chosen, options, progress))
-    return _by_itself(tracks, Model.named(model), options, progress)
+    chosen = Model.named(model)
+    (track,) = _noted(TrackSet((tracks,)), chosen, camera)
+    return _by_itself(track, chosen, options, progress)
+
+
+def _noted(tracks: TrackSet, model: Model, camera: GroundCamera | None) -> TrackSet:
+    """Return tracks with the noise of their positions; warn of channels that the model does not use."""
+    for line in notes_on(tracks.tracks, model, camera):
+        warnings.warn(line, InputWarning, stacklevel=3)
+    return tracks.map(with_position_noise)
 
 
 def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
     smoother = OnlineSmoother(model, **options)
-    found = [smoother.update(observation) for observation in observations(track)]
+    usable = map(smoother.usable, observations(track))
+    found = [smoother.update_together([smoother], [one])[0] for one in usable]
     progress(len(track))
     return as_track(track, found, model)
 
@@ -310,7 +324,8 @@ def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Pr
     observed = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
     for (_, place), observation in sorted(observed, key=itemgetter(0)):
         track_id = scene.tracks[place].track_id
-        estimate = people[place].update(conversations.observed(track_id, observation))
+        observation = people[place].usable(conversations.observed(track_id, observation))
+        (estimate,) = OnlineSmoother.update_together([people[place]], [observation])
         conversations.estimated(track_id, estimate)
         found[place].append(estimate)
         progress(1)

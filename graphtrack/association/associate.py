@@ -26,6 +26,7 @@ from graphtrack.io.read_write import (
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
+from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -130,6 +131,9 @@ def usable(rows: Rows) -> Rows:
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
     if not len(rows):
         return rows
+    noise = position_noise(rows.channels.get("position_std"), rows.channels.get("covariance"))
+    if noise is not None and noise is not rows.channels.get("position_std"):
+        rows = rows.with_channels(position_std=noise).with_notes(AXES)
     _check_times(rows)
     labelled = np.column_stack([rows.frame, rows.channels["position"]])
     _, first = np.unique(labelled, axis=0, return_index=True)

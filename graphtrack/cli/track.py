@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
+from graphtrack.cli.console import BAD_INPUT, emit, input_warnings_as_notes, progress_bar, write_tracks
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
@@ -107,7 +107,7 @@ def track(
     tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept, walkable=walkable)  # the first one compiles
     start = time.perf_counter()
-    with progress_bar(tracks.n_frames) as advance:
+    with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
         everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
     seconds = time.perf_counter() - start
     found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]

@@ -22,6 +22,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file
 from graphtrack.io.source import Source
 from graphtrack.tracks.cells import numbers
+from graphtrack.tracks.given import warn_unused
 from graphtrack.tracks.time import TIME_TOLERANCE, distinct_times
 from graphtrack.tracks.track import STATE, Track, TrackSet
 from graphtrack.tracks.validation import check_positive
@@ -81,6 +82,10 @@ class Forecasts:
         from graphtrack.io.read_write import write_table
 
         write_table(self.columns, path)
+
+
+_USED = ("t", "x", "y", "pos_std", "x_std", "y_std", "head_deg", "observed")
+"""Columns that forecasts are made from."""
 
 
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
@@ -154,6 +159,7 @@ def forecast(
     if not 0 <= samples <= 1000:
         raise InputError(f"samples = {samples}", "a number from 0 to 1000")
     tracks = tracks_of(tracks)
+    warn_unused(tracks, _USED, "forecasts")
     if isinstance(parameters, str | Path):
         parameters = ForecastParameters.load(parameters)
     forecaster, random = Forecaster(parameters, walkable), np.random.default_rng(seed)

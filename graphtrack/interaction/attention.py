@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
 from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
 from graphtrack.interaction.groups import REHEARSAL as GROUPS
 from graphtrack.interaction.groups import Groups, OnlineGroups, facing_people
 from graphtrack.interaction.groups import groups as find_groups
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Place, people_of_estimates
+from graphtrack.interaction.people import (
+    USED,
+    IntArray,
+    People,
+    PeopleEstimates,
+    Place,
+    people_of_estimates,
+)
 from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.given import warn_unused
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
@@ -107,7 +116,10 @@ def attention(
     make_attention_ready()
     chosen = AttentionParameters() if parameters is None else parameters
     everybody = sorted(tracks, key=lambda track: track.track_id)
-    found = find_groups(everybody, online=online) if groups is None else groups
+    warn_unused(everybody, (*USED, *(f"head_p{k}" for k in range(HEAD_CLASSES))), "attention")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)  # of the same columns
+        found = find_groups(everybody, online=online) if groups is None else groups
     number = {one.track_id: np.full(len(one), -1) for one in everybody}
     frames = {one.track_id: one.frame for one in everybody}
     for person in number.keys() & set(np.unique(found.track_id).tolist()):
@@ -184,11 +196,11 @@ def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
     if track.head is None:
         return np.full((len(track), 1), np.nan), np.zeros((len(track), 1)), np.ones((len(track), 1))
     kappa = np.full(len(track), _EXACT)
-    if track.covariance is not None:
-        place = STATE.index("head")
-        kappa = concentration(track.covariance[:, place, place])
-    elif track.head_kappa is not None:
+    if track.head_kappa is not None:
         kappa = np.where(np.isnan(track.head_kappa), _EXACT, track.head_kappa)
+    if track.covariance is not None:
+        variance = track.covariance[:, STATE.index("head"), STATE.index("head")]
+        kappa = np.where(np.isnan(variance), kappa, concentration(variance))
     known = np.where(np.isfinite(track.head) & np.isfinite(kappa), 1.0, np.nan)
     return known[:, None], np.nan_to_num(track.head)[:, None], np.nan_to_num(kappa, nan=0.0)[:, None]
 

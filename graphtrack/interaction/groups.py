@@ -20,9 +20,17 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
 )
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
+from graphtrack.interaction.people import (
+    USED,
+    IntArray,
+    People,
+    PeopleEstimates,
+    people_of,
+    people_of_estimates,
+)
 from graphtrack.kernels.compilation import Rehearsal, allocating, compiled, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.given import warn_unused
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 if TYPE_CHECKING:
@@ -389,7 +397,9 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     """
     make_groups_ready()
     chosen = DEFAULT if parameters is None else parameters
-    people = people_of(tracks_of(tracks), online=online)
+    given = tracks_of(tracks)
+    warn_unused(given, USED, "groups")
+    people = people_of(given, online=online)
     if not online:
         return groups_of(people, chosen, pair_evidence(people, chosen))
     known, numbering = OnlineEvidence(chosen), Numbering(chosen.memory_seconds)

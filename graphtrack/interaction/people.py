@@ -79,6 +79,12 @@ class People:
             )
 
 
+_ANGLES = [f"{name}_{part}" for name in ("body", "head") for part in ("deg", "kappa", "std_deg")]
+
+USED = ("t", "x", "y", "vx", "vy", *_ANGLES)
+"""Columns of people that groups are found from."""
+
+
 def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
     """Return the people of a scene with known positions.
 
@@ -128,12 +134,14 @@ def expected_direction(track: Track, name: str) -> FloatArray:
         return np.zeros((len(track), 2))
     length = np.ones(len(track))
     kappa: FloatArray | None = getattr(track, f"{name}_kappa")
-    if track.covariance is not None:
-        place = STATE.index(name)
-        return expected_unit(angle, track.covariance[:, place, place])
     if kappa is not None:
         length = np.where(np.isnan(kappa), 1.0, mean_resultant_length(np.nan_to_num(kappa)))
-    return np.nan_to_num(length[:, None] * unit(angle))
+    direction: FloatArray = np.nan_to_num(length[:, None] * unit(angle))
+    if track.covariance is None:
+        return direction
+    place = STATE.index(name)
+    variance = track.covariance[:, place, place]
+    return np.where(np.isnan(variance)[:, None], direction, expected_unit(angle, variance))
 
 
 def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:

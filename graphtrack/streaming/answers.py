@@ -6,7 +6,7 @@ Groups, attention and forecasts of a frame are added when the frame has ended.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -227,6 +227,7 @@ class TrackAnswers(Answering):
     frames : groups, attention and forecasts of each frame; None: not requested
     bounds : limits of the number of people
     conversations : the exchange of smoothers of a model with groups
+    unused : as in `UnknownKeys`
 
     Attributes
     ----------
@@ -241,8 +242,9 @@ class TrackAnswers(Answering):
         frames: EndedFrames | None = None,
         bounds: StreamBounds = StreamBounds(),
         conversations: Conversations | None = None,
+        unused: Collection[str] = (),
     ) -> None:
-        super().__init__(fps, note)
+        super().__init__(fps, note, unused=unused)
         self._make, self._bounds, self._looked = make, bounds, -math.inf
         self._waiting = dict[int, _Waiting]()
         of_scene = {FRAMES: frames, CONVERSATIONS: conversations}
@@ -264,6 +266,7 @@ class TrackAnswers(Answering):
                 if cells is None:
                     pairs = self.pairs_of(line)
                     cells = read_cells(pairs)
+                self._unknown_keys.check_used(cells)
                 self._wait_for(cells["track_id"], observation_of(cells, self.fps), found[-1])
             except InputError as error:
                 found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
@@ -369,6 +372,7 @@ class Frame(Saved):
 
     def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
         self.tracker, self.behaviour = tracker, behaviour
+        tracker.unused = ()  # the stream itself notes keys that are not used
         self.t: float | None = None
         self.number: int | None = None
         self.observations: list[Observation] = []
@@ -396,6 +400,7 @@ class Scenes(Answering):
     forget : ignore identities of rows; else such a row is an error
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
+    unused : as in `UnknownKeys`
 
     Attributes
     ----------
@@ -411,8 +416,9 @@ class Scenes(Answering):
         forget: bool = False,
         horizon: tuple[float, float] | None = None,
         asked: Asked | None = None,
+        unused: Collection[str] = (),
     ) -> None:
-        super().__init__(fps, note, ("stream", "end"))
+        super().__init__(fps, note, ("stream", "end"), unused)
         self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
 
     @property
@@ -447,6 +453,7 @@ class Scenes(Answering):
 
     def _take(self, name: Name, pairs: Pairs) -> list[dict[str, Any]]:
         cells = read_cells(pairs, ("track_id", "frame"))
+        self._unknown_keys.check_used(cells)
         if cells.get("track_id", -1) != -1 and not self._forget:
             found = f"a row of track {cells['track_id']} among detections without identity"
             raise InputError(found, "rows with identities alone, or --associate always", column="track_id")

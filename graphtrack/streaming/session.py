@@ -29,6 +29,7 @@ from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
+from graphtrack.model.given import EVIDENCE, unused_columns
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
@@ -107,6 +108,7 @@ class Answers:
             self._frames(),
             self.bounds,
             Conversations(self.model) if self.model.has_groups else None,
+            unused_columns(self.model, self.camera),
         )
 
     def _frames(self) -> EndedFrames | None:
@@ -134,7 +136,15 @@ class Answers:
     def scenes(self, note: Callable[[str], None] = ignore) -> Scenes:
         """Return the object that answers detections without identity."""
         make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
-        return Scenes(make, self.fps, note, forget=forget, horizon=self.horizon, asked=self.asked)
+        return Scenes(
+            make,
+            self.fps,
+            note,
+            forget=forget,
+            horizon=self.horizon,
+            asked=self.asked,
+            unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
+        )
 
     def restored_scene(self, key: Any, saved: Any) -> Frame:
         """Restore a member of `scenes` from its state."""

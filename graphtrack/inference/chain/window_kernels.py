@@ -56,7 +56,7 @@ from graphtrack.model.coupling_modes import (
 from graphtrack.model.generator import FrameProgram, add_frame, cut
 from graphtrack.model.packing import CLASS_DIRECTIONS
 from graphtrack.model.terms.couplings import ROW, Gait
-from graphtrack.model.terms.motion import steer
+from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding_in_frame, steer
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
@@ -216,6 +216,13 @@ def solve_window(
         finite = finite and math.isfinite(states[last, i])
     full, product, linked = memory.scratch[0], memory.scratch[1], as_variable(False)
     marginal(memory.inverse[last], memory.link[last], linked, covariance, full, product, covariance)
+    frame, variance = (
+        problem.records[problem.offsets[chain.track] + last],
+        covariance[X, X] + covariance[Y, Y],
+    )
+    if frame.dt > 0.0:
+        lost = rounding_in_frame(frame.dt, frame.motion_information, 0.5 * variance)
+        finite = finite and lost <= LARGEST_ROUNDING
     return finite
 
 

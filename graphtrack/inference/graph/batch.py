@@ -20,6 +20,7 @@ from graphtrack.inference.engines import (
     SolverOptions,
     estimated_tracks,
     has_own_kernels,
+    lost_by_rounding,
     make_solver_ready,
     not_finite,
     with_extreme,
@@ -156,7 +157,7 @@ def smooth_graph(
             for _ in range(PASSES):
                 view.renew(states_of(values, steps, model))
                 values, costs, converged = again(values)
-        marginals = gtsam.Marginals(graph.linearize(values), values)
+        marginals = marginals_of(graph, values)
         covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(
@@ -169,6 +170,8 @@ def smooth_graph(
     calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
+    for reason in lost_by_rounding(track.dt, offsets, covariance, model).values():
+        raise SolveError(track.track_id, reason)
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 3), np.nan) if view is None else view.modes
@@ -233,6 +236,19 @@ class _Descent:
         states = states_of(values, self.steps, self.model)
         other = None if self.view is None else self.view.other(states, near)
         return None if other is None else values_of(self.steps, other, self.model)
+
+
+def marginals_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | gtsam.ISAM2:
+    """The marginals of a graph, linearised at some values."""
+    try:
+        return gtsam.Marginals(graph.linearize(values), values)
+    except RuntimeError:
+        # It eliminates by Cholesky, which rejects frames that are close in time. QR takes twice as long.
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        tree = gtsam.ISAM2(parameters)
+        tree.update(graph, values)
+        return tree
 
 
 def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, step: Step, model: Model) -> FloatArray:

@@ -18,7 +18,7 @@ from graphtrack.inference.state import (
     MarginalPrior,
     Newest,
     Window,
-    finite,
+    determined,
     leaving,
     present,
     read_step,
@@ -190,7 +190,8 @@ class Isam2:
             self._update()
         newest = self.steps[-1]
         state = self._state(newest)
-        known = finite(state), joint_covariance(self.isam, newest, self._model)
+        found = np.array(state), joint_covariance(self.isam, newest, self._model)
+        known = determined(found, newest, self._model)
         if self._lag == math.inf:
             self._since[newest.index] = state
             if len(self._since) * _REMEMBERED > len(self.steps):
@@ -293,4 +294,6 @@ def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:
     parameters.setRelinearizeThreshold(by_kind)
     parameters.setOptimizationParams(optimisation)
     parameters.findUnusedFactorSlots = True
+    # Cholesky rejects frames that are close in time, and then drifts.
+    parameters.setFactorization("QR")
     return parameters
