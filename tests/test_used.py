@@ -146,11 +146,8 @@ def test_every_field_of_a_track_is_used_refused_or_named(entry: str) -> None:
         if name == "score":
             scene = scene.map(lambda one: replace(one, identity_p=None))  # else it was evidence before
         if entry in OF_OBSERVATIONS:
-            scene = (
-                scene.map(lambda one: replace(one, covariance=None))
-                if entry == "forecast"
-                else standing(scene)
-            )
+            observed = scene.map(lambda one: replace(one, covariance=None))
+            scene = observed if entry == "forecast" else standing(scene)
         before, notes = outcome(lambda scene=scene: call(scene))
         after, _ = outcome(lambda scene=scene, name=name: call(scene.map(lambda one: changed(one, name))))
         if before == after and not is_named(name, notes):
@@ -218,6 +215,8 @@ def tracked(options: dict[str, Any]) -> Callable[[list[list[Observation]]], Any]
     return call
 
 
+EVIDENCE_ALONE = ["score", "body", "head", "body_likelihood", "head_likelihood"]
+
 ONLINE = {
     f"{name} {model} {'camera' if camera else ''}": (make({"model": model, "camera": camera}))
     for name, make in (("OnlineSmoother", smoothed), ("OnlineTracker", tracked))
@@ -229,8 +228,9 @@ ONLINE = {
 @pytest.mark.parametrize("entry", ONLINE)
 def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> None:
     call, silent = ONLINE[entry], []
-    # Scores are evidence for the tracker, once enough detections were decided.
-    names = [one for one in OBSERVED if one != "score" or "Smoother" in entry]
+    # Evidence of the tracker counts once enough detections were decided: see tests/association.
+    evidence = EVIDENCE_ALONE if "Tracker position" in entry else ["score"] * ("Tracker" in entry)
+    names = [one for one in OBSERVED if one not in evidence]
     for name in names:
         frames = [[observation(k, person, "likelihood" in name) for person in (0, 1)] for k in range(N)]
         if "position" in name and entry.endswith("camera"):
@@ -262,7 +262,7 @@ def test_every_key_of_a_stream_is_used_refused_or_named(model: str, identified: 
             continue
         if column.name in ("x_std", "y_std"):
             table = table.drop(columns="pos_std")
-        if column.name == "score" and not identified:
+        if not identified and column.field in (EVIDENCE_ALONE if model == "position" else ["score"]):
             continue  # evidence, once enough detections were decided
         table = table if identified else table.drop(columns="track_id")
         altered = table.copy()
