@@ -25,6 +25,7 @@ from graphtrack.io.read_write import (
 )
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
+from graphtrack.tracks.display import listed
 from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
 from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
@@ -81,6 +82,9 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     from graphtrack.association.offline import associate_detections  # SciPy takes long to load
 
     found = associate_detections(detections, scene)
+    replaced = [name for name in ("identity_p", "observed") if name in rows.channels]
+    if replaced := [*replaced, *["label"] * bool(rows.labels)]:
+        rows = rows.with_notes(f"association replaces {listed(replaced)}")
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
