@@ -176,12 +176,15 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
-def write_tracks(tracks: TrackSet, output: Path) -> None:
-    """Write tracks in the format given by the file name, and print the writer's notes."""
+def write_tracks(tracks: TrackSet, output: Path, *, spreadsheet: bool = False) -> None:
+    """Write tracks in the format given by the file name, and print the writer's notes.
+
+    ``spreadsheet``: see `graphtrack.write`
+    """
     from graphtrack.io.read_write import write
 
     with input_warnings_as_notes():
-        write(tracks, output)
+        write(tracks, output, spreadsheet=spreadsheet)
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:

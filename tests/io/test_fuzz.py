@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from input_readers import OPTION_FILES, InputReader, format_readers
-from test_mutations import mutate
+from mutations import mutate
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError
@@ -61,16 +61,12 @@ WORDS = st.sampled_from(
         "=",
         "]",
         "}",
-    ]
-    + [
         "\u202e",
         "\ud800".encode("utf-8", "surrogatepass").decode("latin-1"),
         "a" * 140_000,
         "true",
         "null",
         "-0",
-    ]
-    + [
         "CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))",
         "2026-11-23T10:00:00",
         "{}",
@@ -203,11 +199,31 @@ CELLS = (
     st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats() | st.text(max_size=5)
 ) | st.binary(max_size=4)
 COLUMN_TYPES = st.sampled_from(
-    [pa.float64(), pa.int8(), pa.uint64(), pa.bool_(), pa.string(), pa.large_string(), pa.binary(), pa.null()]
-    + [pa.timestamp("ns", "UTC"), pa.timestamp("s"), pa.date32(), pa.time64("us"), pa.duration("ms")]
-    + [pa.decimal128(9, 2), pa.list_(pa.float64()), pa.list_(pa.float32(), 2), pa.struct([("a", pa.int8())])]
-    + [pa.map_(pa.string(), pa.int8()), pa.dictionary(pa.int8(), pa.string()), pa.float16(), pa.binary(3)]
-    + [pa.dictionary(pa.int8(), pa.int64()), pa.string_view()]
+    [
+        pa.float64(),
+        pa.int8(),
+        pa.uint64(),
+        pa.bool_(),
+        pa.string(),
+        pa.large_string(),
+        pa.binary(),
+        pa.null(),
+        pa.timestamp("ns", "UTC"),
+        pa.timestamp("s"),
+        pa.date32(),
+        pa.time64("us"),
+        pa.duration("ms"),
+        pa.decimal128(9, 2),
+        pa.list_(pa.float64()),
+        pa.list_(pa.float32(), 2),
+        pa.struct([("a", pa.int8())]),
+        pa.map_(pa.string(), pa.int8()),
+        pa.dictionary(pa.int8(), pa.string()),
+        pa.float16(),
+        pa.binary(3),
+        pa.dictionary(pa.int8(), pa.int64()),
+        pa.string_view(),
+    ]
 )
 NAMES_OF_TABLE = (
     "track_id",
