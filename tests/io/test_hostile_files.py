@@ -145,7 +145,16 @@ def test_labels_are_no_formulas_where_a_spreadsheet_is_asked_for(tmp_path: Path)
     assert done.returncode == 0 and '\n"\'@anna",' in sheet.read_text()
     run("convert", path, "-o", sheet, "--columns", "id=who", program="graphtrack")
     assert '\n"@anna",' in sheet.read_text()  # unchanged without the option
-    done = run("convert", path, "-o", tmp_path / "a.ndjson", "--spreadsheet", program="graphtrack")
+    done = run(
+        "convert",
+        path,
+        "-o",
+        tmp_path / "a.ndjson",
+        "--spreadsheet",
+        "--columns",
+        "id=who",
+        program="graphtrack",
+    )
     assert done.returncode == 2 and "--spreadsheet" in done.stderr
 
 
