@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import category
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -33,17 +34,22 @@ if TYPE_CHECKING:
 _CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Escape sequences such as colours and movements (CSI), and all control characters except the line feed."""
 
+_JOINERS = "\u200c\u200d"  # within words of some scripts, and emoji
+
 
 def printable(text: str, *, one_line: bool = False) -> str:
     """Return a text without escape sequences and control characters; invalid characters become ?.
 
-    Names and labels come from files, and must not control the terminal.
+    Names and labels come from files, and must not control the terminal. Characters without a shape of their
+    own, such as those that reverse the direction of writing, are left out too.
 
     Parameters
     ----------
     one_line : replace line feeds by spaces
     """
     text = _CONTROL.sub("", text.replace("\t", " ")).encode(errors="replace").decode()
+    if not text.isascii():
+        text = "".join(one for one in text if one in _JOINERS or category(one) not in ("Cf", "Zl", "Zp"))
     return " ".join(text.splitlines()) if one_line else text
 
 
@@ -190,12 +196,15 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
-def write_tracks(tracks: TrackSet, output: Path) -> None:
-    """Write tracks in the format given by the file name, and print the writer's notes."""
+def write_tracks(tracks: TrackSet, output: Path, *, spreadsheet: bool = False) -> None:
+    """Write tracks in the format given by the file name, and print the writer's notes.
+
+    ``spreadsheet``: see `graphtrack.write`
+    """
     from graphtrack.io.read_write import write
 
     with input_warnings_as_notes():
-        write(tracks, output)
+        write(tracks, output, spreadsheet=spreadsheet)
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, printable, write_json, write_tracks
@@ -138,11 +140,21 @@ def formats() -> None:
     print_table("Formats", rows)
 
 
-def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
-    """Write tracks unchanged in another format, given by the ending of the output."""
+def convert(
+    inputs: options.Inputs,
+    output: options.Output,
+    reading: options.CameraReading,
+    spreadsheet: Annotated[bool, typer.Option("--spreadsheet")] = False,
+) -> None:
+    """Write tracks unchanged in another format, given by the ending of the output.
 
+    Parameters
+    ----------
+    spreadsheet : Put an apostrophe before text in CSV that a spreadsheet would run as a formula, such as a
+        label =1+1 of a file from outside.
+    """
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
-    write_tracks(tracks, output)
+    write_tracks(tracks, output, spreadsheet=spreadsheet)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
     emit(f"wrote {output}: {people}, {rows}")

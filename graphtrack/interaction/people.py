@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.interaction.gaze_model import half_angle
 from graphtrack.io.source import Source
-from graphtrack.io.text import expected_number, parse_number
+from graphtrack.io.text import csv_records, expected_number, parse_number
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import LARGEST_METRES
@@ -257,22 +256,19 @@ def read_places(path: str | Path) -> list[Place]:
     an invalid number.
     """
     source = Source.open(path)
-    reader = csv.DictReader(source.lines, skipinitialspace=True)
-    header = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = header
+    header, rows = csv_records(source)
     if "name" not in header or not ({"x", "y", "radius"} <= set(header) or "polygon" in header):
         expected = "name and x, y, radius, or name and polygon"
         raise InputError(f"the columns {', '.join(header)[:80]}", expected, path=source.path)
     places: list[Place] = []
     names: set[str] = set()
-    for row in reader:
-        line = reader.line_num
-        name = (row.get("name") or "").strip()
+    for line, row in rows:
+        name = row["name"]
         if not name or name in names:
             found = f"the name {name!r} again" if name else "no name"
             raise InputError(found, "a name for each place", path=source.path, line=line, column="name")
         names.add(name)
-        cells = {key: (row.get(key) or "").strip() for key in ("x", "y", "radius", "polygon")}
+        cells = {key: row.get(key, "") for key in ("x", "y", "radius", "polygon")}
         if bool(cells["radius"]) == bool(cells["polygon"]):
             found = f"place {name!r} with {'both' if cells['radius'] else 'neither radius nor polygon'}"
             raise InputError(found, "a radius or a polygon", path=source.path, line=line)

@@ -87,9 +87,15 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
     return 2 * good > len(rows)
 
 
-def csv_rows(path: Path, lines: Iterable[str], mark: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of lines of text, each with its line number, from 1."""
-    reader = csv.reader((f"{line}\n" for line in lines), delimiter=mark, strict=True)
+def csv_rows(
+    path: Path, lines: Iterable[str], mark: str = ",", *, skip_spaces: bool = False
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of lines of text, each with its line number, from 1.
+
+    ``skip_spaces``: whether spaces before a cell are left out
+    """
+    text = (f"{line}\n" for line in lines)
+    reader = csv.reader(text, delimiter=mark, skipinitialspace=skip_spaces, strict=True)
     while True:
         line = 1 + reader.line_num
         try:
@@ -100,6 +106,20 @@ def csv_rows(path: Path, lines: Iterable[str], mark: str = ",") -> Iterator[tupl
         if row is None:
             return
         yield line, row
+
+
+def csv_records(source: Source) -> tuple[list[str], Iterator[tuple[int, dict[str, str]]]]:
+    """Return the header of a table, and its rows, each with its line and its cells by column.
+
+    Names and cells are without surrounding spaces; missing cells are empty.
+    """
+    rows = ((line, row) for line, row in csv_rows(source.path, source.lines, skip_spaces=True) if row)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    padding = [""] * len(header)
+    return header, (
+        (line, dict(zip(header, (cell.strip() for cell in [*row, *padding]), strict=False)))
+        for line, row in rows
+    )
 
 
 def is_blank(row: Sequence[str]) -> bool:

@@ -55,13 +55,13 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     if not steps:
         return tracks
     usual, rate = float(np.median(np.concatenate(steps))), usual_rate((one.frame, one.t) for one in tracks)
-    frames = [_with_gaps(track, usual, rate, longest) for track in tracks]
-    n_frames, most = sum(map(len, frames)), max(_MOST_FILLED, _MOST_TIMES * tracks.n_frames)
+    gaps = {one.track_id: _gaps(one, usual, rate, longest) for one in tracks}
+    n_frames = sum(len(one) + int(_sizes(one, *gaps[one.track_id]).sum()) for one in tracks)
+    most = max(_MOST_FILLED, _MOST_TIMES * tracks.n_frames)
     if n_frames > most:
         found = f"{n_frames:,} rows with filled gaps, for {tracks.n_frames:,}"
         raise InputError(found, f"at most {most:,}; --no-fill leaves the gaps")
-    by_id = {track.track_id: frame for track, frame in zip(tracks, frames, strict=True)}
-    return tracks.map(lambda track: _filled(track, by_id[track.track_id]))
+    return tracks.map(lambda track: _filled(track, *gaps[track.track_id]))
 
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
@@ -81,24 +81,25 @@ def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
     return float(np.median(rates)) if len(rates) else 0.0
 
 
-def _with_gaps(track: Track, usual: float, rate: float, longest: float) -> NDArray[np.int64]:
-    """Return the frames of a track and of its gaps."""
+def _gaps(track: Track, usual: float, rate: float, longest: float) -> tuple[NDArray[np.int64], int]:
+    """Return the indices of the rows before the gaps of a track, and its step in frame numbers."""
     if len(track) < 2:
-        return track.frame
+        return np.empty(0, dtype=np.int64), 1
     apart, seconds = np.diff(track.frame), np.diff(track.t)
     step = max(1, round(min(float(np.median(apart)), usual)))
-    is_gap = (
-        (apart > 1.5 * step) & (seconds <= longest + TIME_TOLERANCE) & (apart <= FASTEST * rate * seconds)
-    )
-    between = [
-        np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in np.flatnonzero(is_gap)
-    ]
-    return np.unique(np.concatenate([track.frame, *between]))
+    is_short = (seconds <= longest + TIME_TOLERANCE) & (apart <= FASTEST * rate * seconds)
+    return np.flatnonzero(is_short & (apart > 1.5 * step)), step
 
 
-def _filled(track: Track, frame: NDArray[np.int64]) -> Track:
-    if len(frame) == len(track):
+def _sizes(track: Track, gaps: NDArray[np.int64], step: int) -> NDArray[np.int64]:
+    return np.diff(track.frame)[gaps] // step
+
+
+def _filled(track: Track, gaps: NDArray[np.int64], step: int) -> Track:
+    if not len(gaps):
         return track
+    between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
+    frame = np.unique(np.concatenate([track.frame, *between]))
     return with_rows(track, frame, np.interp(frame, track.frame, track.t))
 
 

@@ -128,27 +128,27 @@ class McapReader:
 
     def _records_of(self, index: Any) -> list[Any]:
         self._stream.seek(index.chunk_start_offset)
-        chunk = next(self._records(is_complete=False))
+        chunk = next(self._records(from_start=False))
         if type(chunk).__name__ != "Chunk":
             raise ValueError("an index of something else than a chunk")
         return self._contents(chunk)
 
     def _every_record(self) -> Iterator[Any]:
         self._stream.seek(0)
-        for one in self._records(is_complete=True):
+        for one in self._records(from_start=True):
             if type(one).__name__ == "Chunk":
                 yield from self._contents(one)
             else:
                 yield one
 
-    def _records(self, *, is_complete: bool) -> Iterator[Any]:
+    def _records(self, *, from_start: bool) -> Iterator[Any]:
         from mcap.stream_reader import StreamReader
 
         # No record can be longer than the file.
         largest = self._limit.stored
         return iter(
             StreamReader(
-                self._stream, skip_magic=not is_complete, emit_chunks=True, record_size_limit=largest
+                self._stream, skip_magic=not from_start, emit_chunks=True, record_size_limit=largest
             ).records
         )
 

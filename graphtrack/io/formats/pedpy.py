@@ -206,18 +206,18 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     return replace(rows_of_cells(replace(cells, columns=columns), layout, fps=fps, strict=True), as_read=None)
 
 
-_AT_A_TIME = 4096
 _CELL_BYTES = 32
 
 
 def _fetched(answer: sqlite3.Cursor, source: Source) -> list[tuple[Any, ...]]:
     """Return all rows; the limit includes text, which columns added later repeat without storing it."""
     rows: list[tuple[Any, ...]] = []
-    taken = 0
-    while some := answer.fetchmany(_AT_A_TIME):
-        rows += some
-        taken += sum(_CELL_BYTES + (len(c) if isinstance(c, str | bytes) else 0) for row in some for c in row)
-        source.limit.check(taken, f"more than {len(rows) - len(some)} rows")
+    taken, most = 0, source.limit.most
+    for row in answer:
+        taken += _CELL_BYTES * len(row) + sum(len(cell) for cell in row if isinstance(cell, str | bytes))
+        if taken > most:
+            source.limit.check(taken, f"the first {len(rows) + 1} rows")
+        rows.append(row)
     return rows
 
 
