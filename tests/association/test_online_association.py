@@ -54,7 +54,7 @@ def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() 
         with pytest.raises(gt.InputError, match=expected):
             tracker.update(*wrong)
     with pytest.raises(gt.InputError, match="without a position"):
-        tracker.update(t + 1.0, [gt.Observation(t=0.0, head=1.0)])
+        tracker.update(t + 1.0, [gt.Observation(t=t + 1.0, head=1.0)])
     with pytest.raises(gt.InputError, match="position"):
         tracker.update(t + 1.0, [(np.nan, 0.0)])
     assert json.dumps(tracker.state()) == before
