@@ -113,7 +113,6 @@ def demo(
     out : Folder for the results.
     seconds : Length of the scene.
     """
-    emit(f"simulating a scene of {seconds:g} s")
     import numpy as np
 
     from graphtrack.evaluation.compare import compare

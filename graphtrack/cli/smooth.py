@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,7 +12,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
 from graphtrack.errors import InputError
-from graphtrack.io.atomic import check_place
+from graphtrack.io.atomic import check_place, destination, scratch_folder
 from graphtrack.io.source import table_in
 from graphtrack.tracks.display import counted, duration
 
@@ -77,8 +76,8 @@ def smooth_streamed(path: Path, output: Path, read_options: ReadOptions, **optio
             "--select for rows without identities", "no such option when streaming, or --no-stream"
         )
     check_place(output)
-    with TemporaryDirectory(prefix=f".{output.name}.", dir=output.absolute().parent) as folder:
-        tracks = Path(folder) / output.name
+    with scratch_folder(destination(output)) as folder:
+        tracks = folder / output.name
         _associate(dataset, tracks, read_options, options)
         _smooth_tracks(open_dataset(tracks), output, read_options=read_options, **options)
 

@@ -5,6 +5,7 @@ Errors of libraries that read and write files become `InputError` with the name 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import os
@@ -18,6 +19,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from graphtrack.errors import GraphtrackError, InputError
@@ -110,6 +112,11 @@ def destination(path: Path) -> Path:
 
 def check_place(path: Path, *, directory: bool = False) -> None:
     """Refuse a path where no file (or folder, with ``directory``) can be written."""
+    try:
+        path.stat()
+    except OSError as error:
+        if error.errno in (errno.ENAMETOOLONG, errno.EACCES):
+            raise InputError(described(error), "a path that can be written to", path=path) from error
     if path.is_dir():
         if not directory:
             raise InputError("a folder", "the path of a file to write", path=path)
@@ -118,9 +125,23 @@ def check_place(path: Path, *, directory: bool = False) -> None:
     elif path.exists() and (directory or not path.is_file()):
         found, kind = "a file" if path.is_file() else "a device", "folder" if directory else "file"
         raise InputError(found, f"the path of a {kind} to write", path=path)
+    elif path.exists() and not path.stat().st_mode & 0o222:  # of root too, who may write to any
+        raise InputError(
+            "a file without write permission", "one to replace (chmod u+w), or a new one", path=path
+        )
     final = destination(path)
     if not final.absolute().parent.is_dir():
         raise InputError(f"no folder {final.parent}", "a folder that exists", path=path)
+
+
+def _check_writable(path: Path) -> None:
+    """Refuse a path at which no file of that name can be created: one is created nearby, and removed."""
+    try:
+        with scratch_folder(destination(path)) as scratch:
+            (scratch / path.name).touch()
+    except OSError as error:
+        expected = "a name and a folder that can be written to"
+        raise InputError(described(error), expected, path=path) from error
 
 
 def check_distinct(
@@ -154,11 +175,13 @@ def check_distinct(
             closed.setdefault(_identity(path), claim)
     for name, path in _each(folders or {}):
         check_place(path, directory=True)
+        _check_writable(path)
         closed[_identity(path)] = _claimed(name, path, taken, closed)
     made = {folder.absolute() for folder in to_make}
     for name, path in _each(outputs):
         if path.absolute().parent not in made or path.exists():
             check_place(path)
+            _check_writable(path)
         _claimed(name, path, taken, closed)
 
 
@@ -249,7 +272,7 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
     check_place(given, directory=directory)
     path = destination(given)
     try:
-        with _scratch(path) as scratch:
+        with scratch_folder(path) as scratch:
             temporary = scratch / path.name
             if directory:
                 temporary.mkdir()
@@ -276,10 +299,20 @@ def _with_path(path: Path, temporary: Path) -> Iterator[None]:
         raise
 
 
+_LONGEST = 180
+"""Most bytes of a name that its hidden folder's name repeats; most systems take 255."""
+
+
 @contextmanager
-def _scratch(path: Path) -> Iterator[Path]:
-    """Create a hidden temporary folder next to ``path``; its name holds the host and the process id."""
-    owner = f".{path.name}.{zlib.crc32(socket.gethostname().encode()):08x}-"
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """Create a hidden temporary folder next to ``path``; its name holds the host and the process id.
+
+    It is removed after the block, at exit if there is no memory for it then, and by the next one for the same
+    path if the process was killed.
+    """
+    name = os.fsencode(path.name)
+    shown = path.name if len(name) <= _LONGEST else f"{zlib.crc32(name):08x}"
+    owner = f".{shown}.{zlib.crc32(socket.gethostname().encode()):08x}-"
     left = re.compile(re.escape(owner) + r"(\d+)-[a-z0-9_]{8}" + re.escape(_UNFINISHED))
     with contextlib.suppress(PermissionError):  # a folder that can be written to but not listed
         for entry in list(path.parent.iterdir()):
@@ -287,10 +320,14 @@ def _scratch(path: Path) -> Iterator[Path]:
             if match is not None and not _is_running(int(match[1])):
                 shutil.rmtree(entry, ignore_errors=True)
     folder = tempfile.mkdtemp(prefix=f"{owner}{os.getpid()}-", suffix=_UNFINISHED, dir=path.parent)
+    remove = partial(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(remove)
     try:
         yield Path(folder)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(MemoryError):
+            remove()
+            atexit.unregister(remove)
 
 
 def _is_running(process: int) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pandas as pd
@@ -14,6 +16,7 @@ from command import ran
 
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
+from graphtrack.io.atomic import check_distinct
 
 KILLED = """
 import os, signal, sys
@@ -124,6 +127,69 @@ def test_an_error_names_the_place_that_was_given(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught, atomic_path(tmp_path / "out", directory=True) as temporary:
         raise InputError("a", "b", path=temporary / "x.csv")
     assert caught.value.args == (f"{tmp_path / 'out' / 'x.csv'}: found a, expected b",)
+
+
+def test_a_file_without_write_permission_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("kept")
+    path.chmod(0o444)
+    with pytest.raises(InputError, match="without write permission"):
+        write(path, "new")
+    assert path.read_text() == "kept"
+    (tmp_path / "link.csv").symlink_to(path)
+    with pytest.raises(InputError, match="without write permission"):
+        check_distinct({"--output": tmp_path / "link.csv"}, {})
+
+
+@pytest.mark.parametrize("length", [180, 181, 240, 255])
+def test_long_names_are_written(tmp_path: Path, length: int) -> None:
+    path = tmp_path / ("ä" * 20 + "x" * (length - 44) + ".csv")
+    check_distinct({"--output": path}, {})
+    killed(path)
+    assert len(list(tmp_path.iterdir())) == 1
+    write(path, "new")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["x" * 252 + ".csv", "ä" * 126 + ".csv"])
+def test_names_that_are_too_long_are_refused_before_the_work(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=os.strerror(errno.ENAMETOOLONG)):
+        check_distinct({"--output": tmp_path / name}, {})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOSPC])
+def test_folders_that_cannot_be_written_to_are_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(tempfile, "mkdtemp", refuse)
+    with pytest.raises(InputError, match=os.strerror(number)) as caught:
+        check_distinct({"--output": tmp_path / "a.csv"}, {})
+    assert caught.value.path == str(tmp_path / "a.csv")
+    check_distinct({"--output": tmp_path / "new" / "a.csv"}, {}, to_make=[tmp_path / "new"])
+
+
+WITHOUT_MEMORY = """
+import shutil, sys
+from graphtrack.io.atomic import atomic_path
+removing = shutil.rmtree
+def fail(*_, **__):
+    shutil.rmtree = removing
+    raise MemoryError
+with atomic_path(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    shutil.rmtree = fail
+    raise MemoryError
+"""
+
+
+def test_nothing_is_left_where_memory_ends(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WITHOUT_MEMORY, str(tmp_path / "a.csv")]
+    done = subprocess.run(command, capture_output=True, timeout=60)
+    assert b"MemoryError" in done.stderr and not list(tmp_path.iterdir())
 
 
 BLOCKED = """
