@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack, get_args
@@ -103,7 +103,7 @@ class ReadingBase(TypedDict, total=False):
     delimiter: str | None
     decimal: str | None
     encoding: str | None
-    topic: str | None
+    topic: str | Sequence[str] | None
     fixed_frame: str | None
     reference: AsRead | None
 
@@ -152,7 +152,8 @@ class ReadOptions:
     crs : coordinate reference system of its positions, such as "EPSG:4326", converted to local metres
     delimiter, decimal : cell separator and decimal mark of a text file
     encoding : of a text file that is not UTF-8
-    topic : of a ROS 2 recording, the topic with people, or a pattern for topics of one person each
+    topic : of a ROS 2 recording, the topic with people, or a pattern; several, whose identities are kept
+        apart by the names of the topics
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
     reference : layout of another table with the same origins of time and local metres
     """
@@ -175,7 +176,7 @@ class ReadOptions:
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    topic: str | None = None
+    topic: str | Sequence[str] | None = None
     fixed_frame: str | None = None
     reference: AsRead | None = None
 
@@ -207,6 +208,11 @@ class ReadOptions:
         if unknown:
             raise InputError(f"unknown options {unknown}", f"some of {', '.join(cls.__dataclass_fields__)}")
         return cls(**options)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that were asked for, or patterns."""
+        return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
 
     def layout(self) -> Layout | None:
         """Return the columns and units of a table; None for the native table.
