@@ -116,8 +116,8 @@ class Reading:
 
     ROS 2 recordings
     ----------------
-    topic : Topic with people in a ROS 2 bag or MCAP file, if there are several; a pattern such as
-        '/person*/pose' if each person has a topic.
+    topic : Topic with people in a ROS 2 bag or MCAP file, or a pattern such as '/person*/pose'; repeat for
+        more. By default all, if they are of one type.
     fixed_frame : Frame of reference, such as map, into which tf transforms positions (ROS 2 bag or MCAP).
     """
 
@@ -134,7 +134,7 @@ class Reading:
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    topic: str | None = None
+    topic: Annotated[list[str] | None, typer.Option(metavar="TOPIC")] = None
     fixed_frame: Annotated[str | None, typer.Option(metavar="FRAME")] = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:

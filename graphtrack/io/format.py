@@ -133,7 +133,7 @@ DEEPLABCUT = b"scorer,"
 MOCAP_COLUMNS = ("clip", "frame", "t_s", "x_m", "y_m", "shoulder_yaw_rad", "head_yaw_rad")
 """Columns that a motion-capture table needs."""
 
-_OF_RECORDINGS = (".mcap", ".db3")
+_OF_RECORDINGS = (".mcap", ".db3", ".bag")
 _COCO_DATASET = re.compile(rb'"(images|annotations)"\s*:\s*\[')
 _MARK = b"\xef\xbb\xbf"
 

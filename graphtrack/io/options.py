@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack, get_args
@@ -104,7 +104,7 @@ class ReadingBase(TypedDict, total=False):
     delimiter: str | None
     decimal: str | None
     encoding: str | None
-    topic: str | None
+    topic: str | Sequence[str] | None
     fixed_frame: str | None
     reference: AsRead | None
     max_memory: float | None
@@ -154,7 +154,8 @@ class ReadOptions:
     crs : coordinate reference system of its positions, such as "EPSG:4326", converted to local metres
     delimiter, decimal : cell separator and decimal mark of a text file
     encoding : of a text file that is not UTF-8
-    topic : of a ROS 2 recording, the topic with people, or a pattern for topics of one person each
+    topic : of a ROS 2 recording, the topic with people, or a pattern; several, whose identities are kept
+        apart by the names of the topics
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
     reference : layout of another table with the same origins of time and local metres
     max_memory : GiB that the content of the file may take; None: 4, and no more than 200 times the size of
@@ -179,7 +180,7 @@ class ReadOptions:
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    topic: str | None = None
+    topic: str | Sequence[str] | None = None
     fixed_frame: str | None = None
     reference: AsRead | None = None
     max_memory: float | None = None
@@ -217,6 +218,11 @@ class ReadOptions:
     def limit(self, path: Path, stored: int | None = None) -> MemoryLimit:
         """Return the limit of the memory that the content of a file of so many bytes may take."""
         return MemoryLimit(path, stored, self.max_memory, "--max-memory")
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that were asked for, or patterns."""
+        return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
 
     def layout(self) -> Layout | None:
         """Return the columns and units of a table; None for the native table.

@@ -56,6 +56,7 @@ class GraphtrackNode(Node):
             lag=given["lag"],
             fixed_frame=given["fixed_frame"],
             behaviour=given["behaviour"],
+            warn=self.get_logger().warning,
         )
         wanted = {kind: topic for topic, kind in TOPICS.items()}
         self._published: dict[str, Any] = {}

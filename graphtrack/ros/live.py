@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+import math
+from bisect import insort
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +17,8 @@ from numpy.typing import NDArray
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
-from graphtrack.io.formats.ros_bag import IDS, SECOND, frame_of, sightings_of
-from graphtrack.io.formats.ros_reading import Ground, Humans, Transforms
+from graphtrack.io.formats.ros_bag import IDS, SECOND, Frame, frame_of, sightings_of
+from graphtrack.io.formats.ros_reading import TOGETHER, Ground, Humans, Transforms, same_people
 from graphtrack.io.formats.ros_writing import Person
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
@@ -21,12 +26,27 @@ from graphtrack.smoothing import OnlineTracker
 
 _GONE = 5.0  # seconds without observation after which a named person is dropped
 
+_PRESENT = 0.25  # seconds since the last observation for which a named person is reported
+
 _KEPT = 30 * SECOND  # buffer length of transforms in nanoseconds
 
 _JUMP = SECOND
-"""Largest step back of stamps, for reordered messages; a larger step starts a new recording."""
+"""Largest step back of stamps for messages out of sequence, unless the lag is longer; a larger step starts a
+new recording."""
+
+_LONGEST_HELD = SECOND // 4
+"""Longest time for which detections without names wait for earlier ones, in nanoseconds."""
+
+_UNUSED = 100  # frames without need after which detections wait no longer
 
 _GAZE_FROM = 0.5  # smallest probability of a reported gaze target
+
+_BEYOND_LAG = "out of sequence by more than the lag"
+_NOT_HELD = "detections without names that are out of sequence: later ones are held for a while"
+_REPEATED = "people observed twice at one time"
+_NAMELESS = "people without a name among people with names"
+_HELD = "messages held when the clock was set back"
+_NOWHERE = "people without a position, or at a time without tf"
 
 _CHANNELS = {
     "position_std": "pos_std",
@@ -38,6 +58,9 @@ _CHANNELS = {
 }
 """Channel of an observation → column."""
 
+_Found = dict[int, tuple[str, Estimate, float]]
+"""Number of a person → name, estimate and its probability."""
+
 
 @dataclass(frozen=True)
 class SceneEstimate:
@@ -45,9 +68,9 @@ class SceneEstimate:
 
     Attributes
     ----------
-    stamp : nanoseconds, of the message
+    stamp : nanoseconds, of the newest message that was used
     frame_id : the frame of reference of the estimates
-    people : all present people
+    people : all present people, at that time
     groups : names of the members of each group, by its number
     gazes : observer and target of each gaze
     """
@@ -59,10 +82,97 @@ class SceneEstimate:
     gazes: list[tuple[str, str]]
 
 
+@dataclass(order=True)
+class _Held:
+    """Detections of one time, from one message or several."""
+
+    stamp: int
+    observations: list[Observation] = field(compare=False)
+    messages: int = field(default=1, compare=False)
+
+
+class _Frames:
+    """Detections without names, joined and sorted for a tracker that takes frames in order.
+
+    Messages of one time are joined. Frames are held only where that was of use before: until as many messages
+    have come as came together, and for as long as others were out of sequence.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[_Held] = []
+        self._newest = self._released = -1
+        self._delay, self._expected, self._step = 0, 1, 0
+        self._in_sequence, self._incomplete = 0, 0  # frames in a row
+
+    def __len__(self) -> int:
+        """The messages that are held."""
+        return sum(one.messages for one in self._held)
+
+    def add(self, stamp: int, observations: list[Observation]) -> bool:
+        """Add a message; return False if its time is over."""
+        since = stamp - self._newest
+        # A short step after a long one: another sensor. A fast sensor has short steps alone.
+        if 0 <= since <= TOGETHER < self._step // 2 or 0 <= self._released - stamp <= TOGETHER:
+            self._expected = max(self._expected, 2)
+        self._step = since
+        self._in_sequence = self._in_sequence + 1 if since >= 0 else 0
+        self._newest = max(self._newest, stamp)
+        if stamp <= self._released:
+            self._delay = max(self._delay, min(self._newest - stamp, _LONGEST_HELD))
+            return False
+        if self._in_sequence > _UNUSED:
+            self._delay = 0
+        near = min(self._held, key=lambda one: abs(one.stamp - stamp), default=None)
+        if near is not None and abs(near.stamp - stamp) <= (TOGETHER if self._expected > 1 else 0):
+            near.observations = joined(near.observations, observations)
+            near.messages += 1
+        else:
+            insort(self._held, _Held(stamp, observations))
+        return True
+
+    def released(self) -> Iterator[_Held]:
+        """Yield the frames that wait no longer, in order."""
+        while self._held:
+            first = self._held[0]
+            is_complete = first.messages >= self._expected
+            if self._newest - first.stamp < (self._delay if is_complete else max(self._delay, TOGETHER)):
+                return
+            self._incomplete = 0 if is_complete else self._incomplete + 1
+            self._expected = max(self._expected, first.messages) if self._incomplete < _UNUSED else 1
+            self._released = first.stamp
+            yield self._held.pop(0)
+
+
+def joined(first: Sequence[Observation], second: Sequence[Observation]) -> list[Observation]:
+    """Return the observations of two sensors at one time; a person whom both observe counts once."""
+    places = (np.array([one.position for one in some], float).reshape(-1, 2) for some in (first, second))
+    stds = (np.array([one.position_std for one in some], float) for some in (first, second))
+    partner = dict(same_people(*places, *stds))
+    alone = sorted(set(range(len(second))) - set(partner.values()))
+    return [
+        *(_of_both(one, second[partner[i]]) if i in partner else one for i, one in enumerate(first)),
+        *(second[j] for j in alone),
+    ]
+
+
+def _of_both(one: Observation, other: Observation) -> Observation:
+    """Return the more accurate of two observations of a person, with the angles that it lacks."""
+    if (other.position_std or math.inf) < (one.position_std or math.inf):
+        one, other = other, one
+    added: dict[str, Any] = {}
+    for name in ("body", "head"):
+        if getattr(one, name) is None and getattr(other, name) is not None:
+            added |= {channel: getattr(other, channel) for channel in (name, f"{name}_kappa")}
+    return replace(one, **added) if added else one
+
+
 class Live:
     """Tracker of all people in the messages of a topic.
 
-    People with names keep them as identities; `OnlineTracker` assigns identities to the others.
+    People with names keep them as identities; messages out of sequence are used within the lag.
+    `OnlineTracker` assigns identities to the others, whose messages are joined and put in order, with a delay
+    of at most 0.25 s where they are out of sequence. Messages at most 10 ms apart are views of one time, by
+    several sensors.
 
     Parameters
     ----------
@@ -70,6 +180,12 @@ class Live:
     model, lag : as in `OnlineSmoother`
     fixed_frame : frame into which tf transforms all positions; None: that of the messages
     behaviour : True to report groups and gaze
+    warn : called with a sentence on messages and people that were dropped, at the first, the tenth, the
+        hundredth …; by default the log "graphtrack"
+
+    Attributes
+    ----------
+    dropped : reason → number of messages or people that were not used
     """
 
     def __init__(
@@ -80,21 +196,36 @@ class Live:
         lag: float = 2.0,
         fixed_frame: str | None = None,
         behaviour: bool = False,
+        warn: Callable[[str], object] = logging.getLogger("graphtrack").warning,
     ) -> None:
         self._kind, self._model, self._lag = kind, Model.named(model), lag
+        self._longest_back = max(_JUMP, round(lag * SECOND)) if math.isfinite(lag) else _JUMP
         self.transforms = Transforms()
         humans = Humans("person", {}) if kind == IDS else None
         self._ground = Ground(fixed_frame or None, self.transforms, humans, has_transforms=False)
         self._behaves = behaviour
+        self._warn = warn
+        self.dropped = Counter[str]()
         self._origin = 0
         self._begin()
 
     def _begin(self) -> None:
         self._last: int | None = None
         self._tracker: OnlineTracker | None = None
+        self._frames = _Frames()
         self._named: dict[str, tuple[int, OnlineSmoother]] = {}
         self._numbers = 0
-        self._groups, self._attention = OnlineGroups(), OnlineAttention()
+        self._behaviour = (OnlineGroups(), OnlineAttention()) if self._behaves else None
+        self._reported: tuple[dict[str, list[str]], list[tuple[str, str]]] = ({}, [])
+
+    def _drop(self, reason: str, count: int = 1) -> None:
+        """Count what is not used, and report it at each power of ten."""
+        if not count:
+            return
+        before = self.dropped[reason]
+        self.dropped[reason] += count
+        if not before or len(str(self.dropped[reason])) > len(str(before)):
+            self._warn(f"dropped {self.dropped[reason]}: {reason}")
 
     def take_transforms(self, message: Any, *, static: bool = False) -> None:
         """Process a message of ``/tf`` or ``/tf_static``."""
@@ -111,7 +242,7 @@ class Live:
 
         Returns
         -------
-        Told, or None if it arrives too late to change the estimates
+        SceneEstimate, or None if the message changes no estimate: it is held, or counted in `dropped`
 
         Raises
         ------
@@ -121,58 +252,107 @@ class Live:
         frame = frame_of(message, self._kind)
         if frame.stamp == 0 and received is not None:
             frame = frame._replace(stamp=received)
-        if self._last is not None and frame.stamp <= self._last:
-            if frame.stamp > self._last - _JUMP:
-                return None
+        if self._last is not None and frame.stamp < self._last - self._longest_back:
+            back = (self._last - frame.stamp) / SECOND
+            self._warn(f"a clock that was set back by {back:g} s: tracking begins again")
+            self._drop(_HELD, len(self._frames))
             self._begin()
             self.transforms.forget_after(frame.stamp)
+        names, observations = self._observed(frame)
+        self._last = frame.stamp if self._last is None else max(self._last, frame.stamp)
+        if any(names) or self._named:
+            return self._take_named(frame, names, observations)
+        if self._tracker is None and not observations:
+            return self._estimated(frame.stamp, frame.frame_id, {})
+        return self._take_nameless(frame, observations)
+
+    def _observed(self, frame: Frame) -> tuple[list[str], list[Observation]]:
+        """Return names and observations of the people with a position on the ground."""
         sightings = sightings_of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
         if len(sightings):
             columns, known = self._ground.placed(sightings)
             usable = known & np.isfinite(columns["x"])
             columns = {name: values[usable] for name, values in columns.items()}
+            self._drop(_NOWHERE, int((~usable).sum()))
         if self._last is None:
             self._origin = frame.stamp
-        t = (frame.stamp - self._origin) / SECOND
-        names = columns["name"].tolist() if columns else []
-        found = self._estimates(t, names, _observations(t, columns))
-        self._last = frame.stamp
-        groups, gazes = self._behaviour(t, found) if self._behaves else ({}, [])
-        return SceneEstimate(frame.stamp, self._ground.fixed or frame.frame_id, _people(found), groups, gazes)
+        t = self._seconds(frame.stamp)
+        return columns["name"].tolist() if columns else [], _observations(t, columns)
 
-    def _estimates(
-        self, t: float, names: list[str], sightings: list[Observation]
-    ) -> dict[int, tuple[str, Estimate, float]]:
-        """Return number → name, estimate and its probability, of all present people."""
-        if not any(names) and not self._named:
-            if self._tracker is None:
-                self._tracker = OnlineTracker(self._model, lag=self._lag)
-            people = self._tracker.update(t, sightings)
+    def _seconds(self, stamp: int) -> float:
+        return (stamp - self._origin) / SECOND
+
+    def _take_nameless(self, frame: Frame, observations: list[Observation]) -> SceneEstimate | None:
+        """Process detections that a tracker associates."""
+        if not self._frames.add(frame.stamp, observations):
+            self._drop(_NOT_HELD)
+        if self._tracker is None:
+            self._tracker = OnlineTracker(self._model, lag=self._lag)
+        found = None
+        for held in self._frames.released():
+            t = self._seconds(held.stamp)
+            people = self._tracker.update(t, held.observations)
             sure = [1.0 if np.isnan(one.identity_p) else one.identity_p for one in people]
-            return {one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)}
-        found: dict[int, tuple[str, Estimate, float]] = {}
-        for name, one in zip(names, sightings, strict=True):
-            if not name or any(name == estimates for estimates, _, _ in found.values()):
+            of_number: _Found = {
+                one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)
+            }
+            found = self._estimated(held.stamp, frame.frame_id, of_number)
+        return found
+
+    def _take_named(
+        self, frame: Frame, names: list[str], observations: list[Observation]
+    ) -> SceneEstimate | None:
+        """Process people with names; each is followed by itself."""
+        assert self._last is not None
+        t, now = self._seconds(frame.stamp), self._seconds(self._last)
+        used = 0
+        taken = set[str]()
+        for name, one in zip(names, observations, strict=True):
+            if not name or name in taken:
+                self._drop(_REPEATED if name else _NAMELESS)
                 continue
+            taken.add(name)
             number, smoother = self._named.get(name, (0, None))
             last = None if smoother is None else smoother.last
             if smoother is None or last is None or last.t < t - _GONE:
                 smoother, self._numbers = OnlineSmoother(self._model, lag=self._lag), self._numbers + 1
                 number = self._numbers
-            found[number] = (name, smoother.update(one), 1.0)
             self._named[name] = number, smoother
-        gone = [n for n, (_, one) in self._named.items() if one.last is None or one.last.t < t - _GONE]
+            status = smoother.update(one).status
+            if status in ("too-late", "duplicate"):
+                self._drop(_BEYOND_LAG if status == "too-late" else _REPEATED)
+            else:
+                used += 1
+        gone = [n for n, (_, one) in self._named.items() if one.last is None or one.last.t < now - _GONE]
         for name in gone:
             del self._named[name]
-        return found
+        if names and not used:
+            return None
+        density = self._model.parameters.motion.acceleration_density
+        found: _Found = {}
+        for name, (number, smoother) in self._named.items():
+            last = smoother.last
+            if last is not None and (last.t > now - _PRESENT or name in taken):
+                found[number] = name, _ahead(last, now, density), 1.0
+        return self._estimated(self._last, frame.frame_id, found)
 
-    def _behaviour(
-        self, t: float, found: dict[int, tuple[str, Estimate, float]]
+    def _estimated(self, stamp: int, frame_id: str, found: _Found) -> SceneEstimate:
+        groups, gazes = self._groups_and_gazes(self._seconds(stamp), found)
+        return SceneEstimate(stamp, self._ground.fixed or frame_id, _people(found), groups, gazes)
+
+    def _groups_and_gazes(
+        self, t: float, found: _Found
     ) -> tuple[dict[str, list[str]], list[tuple[str, str]]]:
+        """Return groups and gazes, updated if the time is new."""
+        if self._behaviour is None:
+            return {}, []
+        online, attention = self._behaviour
+        if t <= online.t:
+            return self._reported
         estimates = {number: estimate for number, (_, estimate, _) in found.items()}
-        groups = self._groups.update(t, estimates)
-        gaze = self._attention.update(t, estimates, groups)
+        groups = online.update(t, estimates)
+        gaze = attention.update(t, estimates, groups)
         members: dict[str, list[str]] = {}
         for one, group in zip(groups.track_id.tolist(), groups.group.tolist(), strict=True):
             if group >= 0:
@@ -183,7 +363,23 @@ class Live:
             for kind, target, p in found_targets
             if kind == "person" and target is not None and p >= _GAZE_FROM
         ]
-        return members, gazes
+        self._reported = members, gazes
+        return self._reported
+
+
+def _ahead(estimate: Estimate, t: float, density: float) -> Estimate:
+    """Return an estimate predicted to a time (seconds) with constant velocity.
+
+    ``density``: of the white acceleration, m²/s³
+    """
+    dt = t - estimate.t
+    if dt <= 0.0 or not np.isfinite(estimate.position).all():
+        return estimate
+    step = np.eye(6)
+    step[[0, 1], [2, 3]] = dt
+    covariance = step @ estimate.covariance @ step.T
+    covariance[[0, 1], [0, 1]] += density * dt**3 / 3.0
+    return replace(estimate, t=t, position=estimate.position + dt * estimate.velocity, covariance=covariance)
 
 
 def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observation]:
@@ -194,7 +390,7 @@ def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observatio
     return [observation_at(k, t, 0, channels) for k in range(len(channels["position"]))]
 
 
-def _people(found: dict[int, tuple[str, Estimate, float]]) -> list[Person]:
+def _people(found: _Found) -> list[Person]:
     people = []
     for number, (name, one, score) in sorted(found.items()):
         if np.isfinite(one.position).all():

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from command import ran
 from recordings import (
     covariance,
     detection,
@@ -109,8 +110,7 @@ def test_a_topic_of_poses_is_one_person_and_a_pattern_several(tmp_path):
         ]
 
     bag = record(tmp_path / "bag", {"/p1/pose": told(0.0), "/p2/pose": told(4.0)})
-    with pytest.raises(gt.InputError, match=r"2 topics with people.*--topic.*/p1/pose.*/p2/pose"):
-        gt.read(bag)
+    assert [one.label for one in gt.read(bag)] == ["/p1/pose", "/p2/pose"]
     (one,) = gt.read(bag, topic="/p2/pose")
     assert one.label == "/p2/pose" and one.position[0, 1] == 4.0
     np.testing.assert_allclose(one.position_std, 0.1)
@@ -122,6 +122,74 @@ def test_orientations_that_nobody_set_are_none(tmp_path):
     tracks = gt.read(record(tmp_path / "bag", {"/pose": told}))
     assert tracks.by_id(1).body is None
     assert any("treated as unknown" in note for note in tracks.summary.notes)
+
+
+def test_topics_of_one_type_are_read_together_and_their_names_kept_apart(tmp_path):
+    other = [(t + 0.002, people(t + 0.001, [person("anna", t, 8.0)])) for t in TIMES]
+    bag = record(tmp_path / "bag", {"/left/people": walkers(), "/right/people": other})
+    tracks = gt.read(bag)
+    names = ["/left/people/anna", "/left/people/ben", "/right/people/anna"]
+    assert [one.label for one in tracks] == names and tracks.summary.rows_used == 60
+    assert any("topics /left/people, /right/people (people_msgs" in note for note in tracks.summary.notes)
+    for asked in (["/right/people", "/left/people"], ["/*/people"], "/*/people"):
+        assert sorted(one.label for one in gt.read(bag, topic=asked)) == names
+    assert [one.label for one in gt.read(bag, topic=["/left/people"])] == ["anna", "ben"]
+    with pytest.raises(gt.InputError, match="no topic /centre"):
+        gt.read(bag, topic=["/left/people", "/centre"])
+    done = ran("info", bag, "--topic", "/left/people", "--topic", "/right/people", program="graphtrack")
+    assert "60 person-frames" in done.stdout
+
+
+def test_topics_of_different_types_are_read_if_asked_for(tmp_path):
+    told = [(t, detections(t, [detection("c", t, 9.0, 0.3, covariance(0.01, 0.01))])) for t in TIMES]
+    bag = record(tmp_path / "bag", {"/people": walkers(), "/detections": told})
+    with pytest.raises(gt.InputError, match=r"2 topics with people, of different types.*once for each"):
+        gt.read(bag)
+    tracks = gt.read(bag, topic=["/people", "/detections"])
+    assert [one.label for one in tracks] == ["/people/anna", "/people/ben", "/detections/c"]
+    poses = [(t, make(POSES, header=header(t), poses=[pose(t, 0.0)])) for t in TIMES]
+    bag = record(tmp_path / "mixed", {"/people": walkers(), "/poses": poses})
+    with pytest.raises(gt.InputError, match="topics with the names of people, and topics without"):
+        gt.read(bag, topic=["/people", "/poses"])
+
+
+POSES = "geometry_msgs/msg/PoseArray"
+
+
+def cameras(offset, split, noise=0.02):
+    """Poses of three people by two cameras: people 0 and 1, and people 1 and 2."""
+    rng = np.random.default_rng(0)
+    told = {topic: [] for topic in ("/a", "/b" if split else "/a")}
+    for t in TIMES:
+        for topic, delay, seen in (("/a", 0.0, (0, 1)), ("/b" if split else "/a", offset, (1, 2))):
+            where = [pose(t + rng.normal(0.0, noise), 3.0 * k + rng.normal(0.0, noise), 0.2) for k in seen]
+            told[topic].append((t + delay, make(POSES, header=header(t + delay), poses=where)))
+    return told
+
+
+@pytest.mark.parametrize(("offset", "split"), [(0.0, False), (0.0, True), (0.004, True)])
+def test_cameras_that_overlap_see_each_person_once(tmp_path, offset, split):
+    tracks = gt.read(record(tmp_path / "bag", cameras(offset, split)))
+    assert sorted(round(float(np.mean(one.position[:, 1]))) for one in tracks) == [0, 3, 6]
+    assert all(len(one) == 20 for one in tracks)
+    assert tracks.summary.refused == {"repeated with the same stamp": 20}
+    assert len({t for one in tracks for t in one.t.tolist()}) == 20
+
+
+def test_detections_of_one_fast_sensor_stay_apart(tmp_path):
+    times = [0.004 * k for k in range(100)]
+    told = [(t, make(POSES, header=header(t), poses=[pose(t, 0.0, 0.1)])) for t in times]
+    (track,) = gt.read(record(tmp_path / "bag", {"/poses": told}))
+    assert len(track) == 100
+
+
+def test_recordings_of_ros_1_are_named(tmp_path):
+    old = tmp_path / "old.bag"
+    old.write_bytes(b"#ROSBAG V2.0\n" + bytes(range(256)))
+    with pytest.raises(gt.InputError, match=r"ROS 1.*rosbags-convert"):
+        gt.read(old)
+    with pytest.raises(gt.InputError, match="text"):
+        gt.read(old.replace(tmp_path / "old.csv"))
 
 
 def turning_robot(rate=0.5, speed=1.0, static=0.3):

@@ -10,7 +10,7 @@ import contextlib
 import fnmatch
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -307,23 +307,25 @@ OWN_INPUT = f"{OURS}detections"
 _OF_ONE = (POSE, POSE_WITH_COVARIANCE)
 
 
-def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> list[str]:
-    """Return the topics to read, all of one type: one topic, or several of one person each.
+def chosen_topics(topics: Mapping[str, str], asked: Sequence[str], path: Path) -> list[str]:
+    """Return the topics to read.
 
     Parameters
     ----------
     topics : of the recording, name → type
-    asked : a name, or a pattern for several of one person each; None: the one topic with people
+    asked : names or patterns; if there are none, all topics with people are read, if they are of one type
     """
     known = {name: kind for name, kind in sorted(topics.items()) if kind in OF_PEOPLE}
-    if asked is not None:
-        found = [name for name in known if name == asked or fnmatch.fnmatchcase(name, asked)]
-        if asked in topics and asked not in known:
+    found: list[str] = []
+    for one in asked:
+        if one in topics and one not in known:
             types = ", ".join(OF_PEOPLE)
-            raise InputError(f"the topic {asked} of {topics[asked]}", f"one of {types}", path=path)
-        if not found:
-            raise InputError(f"no topic {asked}", f"one of {_listed(known or topics)}", path=path)
-    else:
+            raise InputError(f"the topic {one} of {topics[one]}", f"one of {types}", path=path)
+        matching = [name for name in known if name == one or fnmatch.fnmatchcase(name, one)]
+        if not matching:
+            raise InputError(f"no topic {one}", f"one of {_listed(known or topics)}", path=path)
+        found += [name for name in matching if name not in found]
+    if not asked:
         # Observations take precedence over estimates of the same recording.
         found = [name for name in known if not name.startswith(OURS)]
         if not found:
@@ -337,16 +339,13 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
         types = ", ".join(OF_PEOPLE)
         expected = f"a topic of one of {types}; there are {_listed(topics)}"
         raise InputError("no topic with people", expected, path=path)
-    if len(found) > 1 and not (asked is not None and _is_of_each(topics, found)):
-        expected = f"--topic with one of {_listed({name: topics[name] for name in found})}"
-        raise InputError(f"{len(found)} topics with people", expected, path=path)
-    return found
-
-
-def _is_of_each(topics: Mapping[str, str], found: list[str]) -> bool:
-    """Return whether topics are of one person each, and of one type."""
     kinds = {topics[name] for name in found}
-    return len(kinds) == 1 and kinds <= {*_OF_ONE}
+    if len(found) > 1 and (IDS in kinds or (len(kinds) > 1 and not asked)):
+        once = "" if IDS in kinds else ", once for each"
+        expected = f"--topic{once}, with one of {_listed({name: topics[name] for name in found})}"
+        of = "lists of ids among them" if IDS in kinds else "of different types"
+        raise InputError(f"{len(found)} topics with people, {of}", expected, path=path)
+    return found
 
 
 def is_of_one(kind: str) -> bool:
@@ -361,6 +360,7 @@ def _listed(topics: Mapping[str, str]) -> str:
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _SQLITE_MAGIC = b"SQLite format 3\0"
+_ROS1_MAGIC = b"#ROSBAG V"
 
 
 Read = TypeVar("Read")
@@ -376,7 +376,7 @@ class Recorded(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a recording."""
+    """Return whether a path is a recording, of ROS 1 too, which `open_bag` refuses."""
     try:
         if isinstance(path, RemoteFile):
             return str(path).lower().endswith(".mcap")
@@ -388,7 +388,7 @@ def is_bag(path: Path) -> bool:
             head = stream.read(len(_SQLITE_MAGIC))
     except (OSError, ValueError):
         return False
-    magic = {".mcap": MCAP_MAGIC, ".db3": _SQLITE_MAGIC}.get(path.suffix.lower())
+    magic = {".mcap": MCAP_MAGIC, ".db3": _SQLITE_MAGIC, ".bag": _ROS1_MAGIC}.get(path.suffix.lower())
     return magic is not None and head.startswith(magic)
 
 
@@ -460,6 +460,9 @@ class Bag:
 @contextmanager
 def open_bag(path: Path, limit: MemoryLimit | None = None) -> Iterator[Bag]:
     """Open a recording, within a limit of memory."""
+    if path.suffix.lower() == ".bag":
+        expected = "one of ROS 2 (rosbags-convert --src FILE.bag --dst FOLDER, of the package rosbags)"
+        raise InputError("a recording of ROS 1", expected, path=path)
     need_rosbags()
     readers: list[Any] = []
     with ExitStack() as stack:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +21,7 @@ from graphtrack.io.format import Format
 from graphtrack.io.formats.ros_bag import (
     DETECTIONS,
     IDS,
+    SECOND,
     TEXT,
     TRANSFORMS,
     Bag,
@@ -38,7 +39,7 @@ from graphtrack.io.formats.ros_bag import (
 )
 from graphtrack.io.formats.ros_writing import write_mcap
 from graphtrack.io.options import ReadOptions
-from graphtrack.packages import transform
+from graphtrack.packages import optimize, transform
 from graphtrack.tracks.cells import Cells, Layout, rows_of_cells
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
@@ -395,6 +396,32 @@ _AGAIN = "repeated with the same stamp"
 _NO_TRANSFORM = "at a time without tf"
 _OTHER_CLASS = "of another class"
 
+TOGETHER = SECOND // 100
+"""Most nanoseconds between messages of one time, by several sensors."""
+
+_ALIKE = 0.3
+"""Most metres between one person's positions by two sensors, unless three standard deviations are more."""
+
+
+def same_people(
+    first: FloatArray, second: FloatArray, first_std: FloatArray, second_std: FloatArray
+) -> list[tuple[int, int]]:
+    """Return the pairs of observations of one person by two sensors at one time.
+
+    They are up to 0.3 m or three standard deviations apart, and the nearest ones together.
+
+    Parameters
+    ----------
+    first, second : (n, 2) and (m, 2) metres
+    first_std, second_std : (n,) and (m,) metres; NaN: unknown
+    """
+    distance = np.linalg.norm(first[:, None] - second, axis=2)
+    std = np.hypot(np.nan_to_num(first_std)[:, None], np.nan_to_num(second_std))
+    worth = np.maximum(np.maximum(_ALIKE, 3.0 * std) - distance, 0.0)
+    rows, columns = optimize.linear_sum_assignment(worth, maximize=True)
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return [(i, j) for i, j in pairs if worth[i, j] > 0.0]
+
 
 @dataclass(eq=False)
 class _Columns:
@@ -409,14 +436,18 @@ class _Columns:
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
     """Return rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
     with open_bag(path, options.limit(path)) as bag:
-        topics = chosen_topics(bag.topics, options.topic, path)
-        kind = bag.topics[topics[0]]
+        topics = chosen_topics(bag.topics, options.topics, path)
+        columns = _Columns()
         try:
-            ground = _ground(bag, kind, topics, options.fixed_frame)
-            columns = _columns(bag, kind, topics, ground, options.classes)
+            ground = _ground(bag, topics, options.fixed_frame)
+            for kind in sorted({bag.topics[name] for name in topics}):
+                _read(bag, kind, topics, ground, options.classes, columns)
         except InputError as error:
             raise error.at(error.path or path) from error
-        notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
+        kinds = {bag.topics[name] for name in topics}
+        shown = ", ".join(f"{name} ({bag.topics[name]})" if len(kinds) > 1 else name for name in topics)
+        of_kind = f" ({bag.topics[topics[0]]})" if len(kinds) == 1 else ""
+        notes = [f"topic{'' if len(topics) == 1 else 's'} {shown}{of_kind}", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
         return _rows(path, columns, notes, options.reference, ground.fixed or "")
@@ -427,21 +458,26 @@ def _is_given(classes: tuple[str, ...]) -> bool:
     return classes != ("Pedestrian",)
 
 
-def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int]]:
-    """Yield the messages of people, and their numbers; times are those of one clock."""
-    of_one = is_of_one(kind)
+def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int, int]]:
+    """Yield the messages of people of one type, their numbers and the index of their topic.
+
+    Times are those of one clock. Names of several topics are kept apart by those of the topics.
+    """
+    of_one, several = is_of_one(kind), len(topics) > 1
+    of_kind = [name for name in topics if bag.topics[name] == kind]
     before: dict[str, int] = {}
-    unstamped = _is_unstamped(bag, kind, topics)
-    for (topic, logged, _, number), frame in bag.decoded(kind, topics, partial(frame_of, kind=kind)):
+    unstamped = _is_unstamped(bag, kind, of_kind)
+    for (topic, logged, _, number), frame in bag.decoded(kind, of_kind, partial(frame_of, kind=kind)):
         if unstamped:
             frame = frame._replace(stamp=logged)
         _check_clock(before.get(topic), frame.stamp, number, topic)
         if of_one:
             frame = frame._replace(people=[frame.people[0]._replace(name=topic)])
-        elif before.get(topic) == frame.stamp and not any(one.name for one in frame.people):
-            frame = frame._replace(people=[one._replace(kind=_AGAIN) for one in frame.people])
+        elif several:
+            people = [one._replace(name=f"{topic}/{one.name}") if one.name else one for one in frame.people]
+            frame = frame._replace(people=people)
         before[topic] = max(frame.stamp, before.get(topic, frame.stamp))
-        yield frame, number
+        yield frame, number, topics.index(topic)
 
 
 def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
@@ -459,9 +495,9 @@ def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> Non
         raise InputError(found, expected, line=number, column=topic)
 
 
-def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground:
+def _ground(bag: Bag, topics: list[str], fixed: str | None) -> Ground:
     """Return the transformation to the ground; tf is read where it may be needed."""
-    humans = Humans.of(bag, topics[0]) if kind == IDS else None
+    humans = Humans.of(bag, topics[0]) if bag.topics[topics[0]] == IDS else None
     fixed = None if fixed is None else fixed.lstrip("/")
     transforms = Transforms()
     if fixed is not None or humans is not None:
@@ -472,29 +508,28 @@ def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground
     return Ground(fixed, transforms, humans, has_transforms)
 
 
-def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tuple[str, ...]) -> _Columns:
-    columns = _Columns()
+def _read(
+    bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tuple[str, ...], columns: _Columns
+) -> None:
+    """Add the messages of one type to the columns."""
     frames = _frames(bag, kind, topics)
     while some := list(islice(frames, _AT_A_TIME)):
-        sightings = sightings_of(some)
+        sightings = sightings_of((frame, number) for frame, number, _ in some)
         if not len(sightings):
             continue
         keep = np.ones(len(sightings), dtype=bool)
         for row, classified in enumerate(sightings["kind"].tolist()):
-            if classified == _AGAIN:
-                keep[row] = False
-                columns.refused[_AGAIN] += 1
-            elif kind == DETECTIONS and _is_given(classes) and classified not in classes:
+            if kind == DETECTIONS and _is_given(classes) and classified not in classes:
                 keep[row] = False
                 columns.refused[_OTHER_CLASS] += 1
             elif classified:
                 columns.kinds[classified] += 1
         columns.turned |= kind == IDS or bool((sightings["turn"][:, :3] != 0.0).any())
         found, known = ground.placed(sightings)
+        found["topic"] = np.repeat([topic for *_, topic in some], [len(frame.people) for frame, *_ in some])
         columns.refused[_NO_TRANSFORM] += int((keep & ~known).sum())
         keep &= known
         columns.parts.append({name: values[keep] for name, values in found.items()})
-    return columns
 
 
 def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | None, frame: str) -> Rows:
@@ -507,12 +542,20 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
         reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
         found = f"no people in the messages ({reasons})" if reasons else "no people in any message"
         raise InputError(found, "people", path=path)
-    if (joined["name"] != "").any():
+    named = joined["name"] != ""
+    if named.any():
+        without = np.setdiff1d(joined["topic"], joined["topic"][named])
+        if len(without):
+            found = "topics with the names of people, and topics without"
+            raise InputError(found, "--topic with topics of one of both kinds", path=path)
         first = _first_of_each(joined)
         refused[_AGAIN] += int(len(first) - first.sum())
         joined = {name: values[first] for name, values in joined.items()}
     else:
         del joined["name"]
+        n, joined = len(joined["stamp"]), _of_one_time(joined)
+        refused[_AGAIN] += n - len(joined["stamp"])
+    del joined["topic"]
     if not columns.turned and np.isfinite(joined["body_rad"]).any():
         joined["body_rad"][:] = np.nan
         notes.append("all orientations equal that of the frame of reference and were treated as unknown")
@@ -528,6 +571,44 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
     as_read = AsRead({}, TimeScale("number", origin=read.time.origin), names=read.names, frame=frame)
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
+
+
+def _of_one_time(joined: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return detections sorted by time, those of messages of one time together, and each person once.
+
+    Messages are of one time if their stamps are equal, or those of different topics at most `TOGETHER` apart.
+    """
+    message = np.column_stack([joined[name] for name in ("stamp", "topic", "number")])
+    order = np.lexsort(message.T[::-1])
+    joined, message = {name: values[order] for name, values in joined.items()}, message[order]
+    first = np.flatnonzero(np.any(np.diff(message, axis=0, prepend=message[:1] - 1), axis=1))
+    place = np.column_stack([joined["x"], joined["y"]])
+    keep = np.ones(len(message), dtype=bool)
+    start, stamps = 0, dict[int, int]()  # of the messages of one time: the first row, and stamps by topic
+    for begin, end in pairwise([*first.tolist(), len(message)]):
+        stamp, topic, _ = message[begin].tolist()
+        near = bool(stamps) and stamp - message[start, 0] <= TOGETHER
+        if not (stamps[topic] == stamp if topic in stamps else near):
+            start, stamps = begin, {topic: stamp}
+            continue
+        stamps[topic] = stamp
+        before, new = start + np.flatnonzero(keep[start:begin]), np.arange(begin, end)
+        std = joined["pos_std"]
+        for i, j in same_people(place[before], place[new], std[before], std[new]):
+            keep[_the_lesser(joined, int(before[i]), int(new[j]))] = False
+        joined["stamp"][begin:end] = message[start, 0]
+    return {name: values[keep] for name, values in joined.items()}
+
+
+def _the_lesser(joined: dict[str, NDArray[Any]], one: int, other: int) -> int:
+    """Return the less accurate of two rows of a person; the other gets the angles that it lacks."""
+    std = np.nan_to_num(joined["pos_std"][[one, other]], nan=np.inf)
+    kept, lesser = (other, one) if std[1] < std[0] else (one, other)
+    for name in ("body", "head"):
+        if np.isnan(joined[f"{name}_rad"][kept]):
+            for column in (f"{name}_rad", f"{name}_kappa"):
+                joined[column][kept] = joined[column][lesser]
+    return lesser
 
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
