@@ -67,11 +67,7 @@ def groups(
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
     write_table(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
-    most = {frame: len(one) for frame, one in found.members().items()}
-    emit(
-        f"wrote {output}: {counted(len(found), 'row')}, {count}, "
-        f"{sum(most.values()) / max(len(most), 1):.2f} a frame"
-    )
+    emit(f"wrote {output}: {counted(len(found), 'row')}, {count}, {found.per_frame:.2f} a frame")
     if true is not None:
         show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
@@ -145,6 +141,7 @@ def attention(
     from graphtrack.interaction.attention import (
         AttentionParameters,
         attention_columns,
+        rows_near_prior,
         summary_of,
     )
     from graphtrack.interaction.attention import attention as find
@@ -165,7 +162,7 @@ def attention(
     )
     check_csv(output)
     known = [] if places is None else read_places(places)
-    chosen = None if parameters is None else AttentionParameters.load(parameters)
+    chosen = AttentionParameters() if parameters is None else AttentionParameters.load(parameters)
     labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
     with input_warnings_as_notes():
@@ -177,6 +174,11 @@ def attention(
         f"wrote {output}: {counted(len(columns['frame']), 'row')}; {counted(len(found), 'track')}, "
         f"{counted(len(known), 'place')}"
     )
+    duration = 1.0 / chosen.switching
+    near_prior = rows_near_prior(tracks, found, duration, online=online)
+    if near_prior:
+        rows = counted(near_prior, "person-frame")
+        emit(f"  note: no head observed within {duration:.3g} s of {rows}: their probabilities are the prior")
     if score is not None:
         print_table(f"Gaze against the truth, {counted(score.frames, 'label')}", score.shown())
     if json_path is not None:

@@ -4,25 +4,47 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
-from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_centres,
+    class_kappa,
+    direction,
+    mean_resultant_length,
+)
+from graphtrack.interaction.gaze_model import (
+    PRESENCE,
+    PROBABILITY,
+    REACH,
+    WAYS,
+    concentration,
+    gaze_of_frame,
+    gaze_over_time,
+    with_nothing,
+)
 from graphtrack.interaction.groups import REHEARSAL as GROUPS
 from graphtrack.interaction.groups import Groups, OnlineGroups, facing_people
 from graphtrack.interaction.groups import groups as find_groups
 from graphtrack.interaction.people import (
+    HELD,
     USED,
     IntArray,
     People,
     PeopleEstimates,
     Place,
+    Present,
+    drift,
+    interpolated,
+    known_rows,
     people_of_estimates,
+    predicted,
+    presence,
 )
 from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
@@ -76,7 +98,7 @@ class Attention:
     frame, t : (n,)
     people : (p,) ids of other people who are near at any time
     places : names
-    probability : (n, p + places + 1); the last is none of these. NaN if the position is unknown
+    probability : (n, p + places + 1); the last is none of these. NaN if no position is known (online: so far)
     """
 
     track_id: int
@@ -103,9 +125,12 @@ def attention(
 ) -> list[Attention]:
     """Estimate the gaze targets of all people.
 
-    Each target has a density of the head direction about its bearing, with its angular width; "nothing" has
-    the uniform density. It is integrated with the head's full posterior: all modes of class likelihoods, or
-    an angle with its concentration or covariance. Gaze persists (a Markov chain over the targets).
+    A head deviates from the bearing of its target by an Ornstein-Uhlenbeck process, about one of `WAYS` fixed
+    directions if that is nothing. Gaze persists (a Markov chain over the targets), whether a row is missing
+    or not: all rates are per second. A person who is not observed in a frame counts as a target where
+    predicted, less and less until `HELD` from the nearest observation. Where an observer's position or head
+    is unknown, the probabilities are those of the dynamics, which tend to the prior within a mean gaze
+    duration (1/``switching``).
 
     Parameters
     ----------
@@ -120,63 +145,112 @@ def attention(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # of the same columns
         found = find_groups(everybody, online=online) if groups is None else groups
-    number = {one.track_id: np.full(len(one), -1) for one in everybody}
-    frames = {one.track_id: one.frame for one in everybody}
-    for person in number.keys() & set(np.unique(found.track_id).tolist()):
-        rows = found.track_id == person
-        number[person][np.searchsorted(frames[person], found.frame[rows])] = found.group[rows]
-    return [_of_one(one, everybody, number, places, chosen, online) for one in everybody]
+    people = [_person(track, found, online) for track in everybody]
+    return [_of_one(one, people, places, chosen, online) for one in people]
+
+
+@dataclass(frozen=True, eq=False)
+class _Person:
+    """A track, and its rows with a known position or group."""
+
+    track: Track
+    t: FloatArray  # (n,) seconds
+    values: FloatArray  # (n, 4) position and velocity
+    t_group: FloatArray  # (k,) seconds
+    group: IntArray  # (k,) numbers
+
+    def at(self, t: FloatArray, online: bool) -> tuple[FloatArray, FloatArray]:
+        """Return position (n, 2), and the seconds (n,) from the nearest observation; NaN, inf: unknown."""
+        if not len(self.t):
+            return np.full((len(t), 2), np.nan), np.full(len(t), np.inf)
+        values, age = predicted(self.t, self.values, t, online=online)
+        return np.where(np.isfinite(age)[:, None], values[:, :2], np.nan), age
+
+    def group_at(self, t: FloatArray, online: bool) -> IntArray:
+        """Return the group (n,) at the nearest known row, at the last one if ``online``; −1: none."""
+        if not len(self.t_group):
+            return np.full(len(t), -1)
+        before = np.searchsorted(self.t_group, t, side="right") - 1
+        row = np.maximum(before, 0)
+        after = np.minimum(before + 1, len(self.t_group) - 1)
+        if not online:
+            row = np.where(self.t_group[after] - t < t - self.t_group[row], after, row)
+        return np.where((before >= 0) | (not online), self.group[row], -1)
+
+
+def _person(track: Track, groups: Groups, online: bool) -> _Person:
+    _, t, position, velocity, *_ = known_rows(track, online)
+    rows = np.flatnonzero(groups.track_id == track.track_id)
+    place = np.searchsorted(track.frame, groups.frame[rows])
+    return _Person(track, t, np.hstack([position, velocity]), track.t[place], groups.group[rows])
 
 
 def _of_one(
-    one: Track,
-    everybody: Sequence[Track],
-    number: Mapping[int, IntArray],
+    one: _Person,
+    everybody: Sequence[_Person],
     places: Sequence[Place],
     parameters: AttentionParameters,
     online: bool,
 ) -> Attention:
-    neighbours, where, fellow = _neighbours(one, everybody, number)
-    n, people = len(one), len(neighbours)
-    bearing, half, far = (np.empty((n, people + len(places))) for _ in range(3))
-    for k, place in enumerate(places, people):
-        bearing[:, k], half[:, k], far[:, k] = place.viewed_from(one.position)
-    gap = one.dt.copy()
+    track = one.track
+    position, age = one.at(track.t, online)
+    neighbours, others, fellow = _neighbours(one, position, everybody, online)
+    gap = track.dt.copy()
     gap[:1] = np.inf
-    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(one))
-    scene = (one.position, where, fellow, bearing, half, far)
-    probability = gaze_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
-    probability[~np.isfinite(one.position).all(axis=1)] = np.nan
+    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(track))
+    probability = gaze_over_time(
+        np.column_stack([position, drift(age)]),
+        others,
+        fellow,
+        _views(places, position),
+        *(weights, means, kappas, _noise(kappas[:, 0]), gap, not online, parameters.to_array()),
+    )
+    probability[~np.isfinite(position).all(axis=1)] = np.nan
     return Attention(
-        one.track_id,
-        one.frame,
-        one.t,
-        tuple(other.track_id for other in neighbours),
+        track.track_id,
+        track.frame,
+        track.t,
+        tuple(other.track.track_id for other in neighbours),
         tuple(place.name for place in places),
         probability,
     )
 
 
+def _views(places: Sequence[Place], position: FloatArray) -> FloatArray:
+    """Return (n, 5, places) views of places from positions (n, 2), as `see` fills those of people."""
+    views = np.zeros((len(position), 5, len(places)))
+    for k, place in enumerate(places):
+        views[:, :3, k] = np.column_stack(place.viewed_from(position))
+    views[:, PRESENCE] = 1.0
+    return views
+
+
 def _neighbours(
-    one: Track, everybody: Sequence[Track], number: Mapping[int, IntArray]
-) -> tuple[list[Track], FloatArray, np.ndarray]:
-    """Return other people who are near at any time, their positions (n, p, 2), and shared groups (n, p)."""
-    found, where, fellow = [], [], []
+    one: _Person, position: FloatArray, everybody: Sequence[_Person], online: bool
+) -> tuple[list[_Person], FloatArray, np.ndarray]:
+    """Return other people who are near at any time, the (n, p, 4) of `see`, and shared groups (n, p)."""
+    t, found, others, fellow = one.track.t, [], [], []
+    own = one.group_at(t, online)
     for other in everybody:
-        if other is one or not len(other):
+        is_away = not len(other.t) or other.t[0] > t[-1] + HELD or other.t[-1] < t[0] - HELD
+        if other is one or is_away:
             continue
-        place = np.minimum(np.searchsorted(other.frame, one.frame), len(other) - 1)
-        there = other.frame[place] == one.frame
-        position = np.where(there[:, None], other.position[place], np.nan)
-        away = np.linalg.norm(position - one.position, axis=1)
+        place, age = other.at(t, online)
+        place[~(age < HELD)] = np.nan
+        away = np.linalg.norm(place - position, axis=1)
         if np.fmin.reduce(away, initial=np.inf) < REACH:
-            own = number[one.track_id]
             found.append(other)
-            where.append(position)
-            fellow.append(there & (own >= 0) & (own == number[other.track_id][place]))
+            others.append(np.column_stack([place, drift(age), presence(age)]))
+            fellow.append((own >= 0) & (own == other.group_at(t, online)))
     if not found:
-        return found, np.zeros((len(one), 0, 2)), np.zeros((len(one), 0), dtype=bool)
-    return found, np.stack(where, axis=1), np.stack(fellow, axis=1)
+        return found, np.zeros((len(t), 0, 4)), np.zeros((len(t), 0), dtype=bool)
+    return found, np.stack(others, axis=1), np.stack(fellow, axis=1)
+
+
+def _noise(kappa: FloatArray) -> FloatArray:
+    """Return variances (n,), rad², of directions of concentrations (n,): inverse Fisher informations."""
+    least = np.maximum(kappa, 1e-3)
+    return np.asarray(1.0 / (least * mean_resultant_length(least)))
 
 
 def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -203,6 +277,24 @@ def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
         kappa = np.where(np.isnan(variance), kappa, concentration(variance))
     known = np.where(np.isfinite(track.head) & np.isfinite(kappa), 1.0, np.nan)
     return known[:, None], np.nan_to_num(track.head)[:, None], np.nan_to_num(kappa, nan=0.0)[:, None]
+
+
+def rows_near_prior(
+    tracks: Iterable[Track], found: Sequence[Attention], seconds: float, *, online: bool = False
+) -> int:
+    """Count the rows of a result without an observed head within some seconds.
+
+    Beyond a mean gaze duration, their probabilities are nearly those without any observation.
+    """
+    count = 0
+    for track, one in zip(sorted(tracks, key=lambda track: track.track_id), found, strict=True):
+        seen = np.isfinite(head_mixture(track)[0]).all(axis=1)
+        away = np.full(len(track), np.inf)
+        if seen.any():
+            _, since, until = interpolated(track.t[seen], track.t[seen, None], track.t, online=online)
+            away = np.minimum(since, until)
+        count += int(np.count_nonzero(np.isfinite(one.probability[:, -1]) & (away > seconds)))
+    return count
 
 
 LEAST = 0.01
@@ -278,21 +370,30 @@ def frame_seconds(t: FloatArray) -> FloatArray:
     """Return (n,) seconds of each frame: half the intervals to its neighbours, without gaps."""
     if len(t) < 2:
         return np.zeros(len(t))
-    gap = np.diff(t)
-    gap = np.minimum(gap, 2.0 * np.median(gap))
+    gap = np.minimum(np.diff(t), _longest(t))
     return 0.5 * (np.append(gap, gap[-1]) + np.append(gap[0], gap))
 
 
+def _longest(t: FloatArray) -> float:
+    """Return the longest interval between two frames that is no gap, seconds: missing rows are none."""
+    return max(2.0 * float(np.median(np.diff(t))), HELD)
+
+
 def _intervals(t: FloatArray, likely: np.ndarray, seconds: FloatArray) -> list[tuple[float, float]]:
-    edges = np.flatnonzero(np.diff(likely.astype(int), prepend=0, append=0))
+    gap = np.append(np.diff(t) > _longest(t), True) if len(t) > 1 else np.ones(1, dtype=bool)
+    first = np.flatnonzero(likely & np.append(True, ~likely[:-1] | gap[:-1]))
+    last = np.flatnonzero(likely & np.append(~likely[1:] | gap[:-1], True))
     return [
-        (round(float(t[a] - 0.5 * seconds[a]), 3), round(float(t[b - 1] + 0.5 * seconds[b - 1]), 3))
-        for a, b in edges.reshape(-1, 2)
+        (round(float(t[a] - 0.5 * seconds[a]), 3), round(float(t[b] + 0.5 * seconds[b]), 3))
+        for a, b in zip(first, last, strict=True)
     ]
 
 
 def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
-    """Return seconds of mutual gaze of two people, independent given the observations."""
+    """Return seconds of mutual gaze of two people, independent given the observations.
+
+    Between the other's rows, which may be at other times, the probability is linear.
+    """
     result: dict[tuple[int, int], float] = {}
     of = {one.track_id: one for one in found}
     for one in found:
@@ -300,9 +401,13 @@ def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
             back = of[other]
             if other <= one.track_id or one.track_id not in back.people:
                 continue
-            _, mine, theirs = np.intersect1d(one.frame, back.frame, return_indices=True)
-            p = one.probability[mine, k] * back.probability[theirs, back.people.index(one.track_id)]
-            seconds = float(np.nansum(p * frame_seconds(one.t)[mine]))
+            theirs = back.probability[:, back.people.index(one.track_id)]
+            known = np.isfinite(theirs)
+            if not known.any():
+                continue
+            p, since, until = interpolated(back.t[known], theirs[known, None], one.t, online=False)
+            p[~(np.minimum(since, until) < HELD)] = 0.0
+            seconds = float(np.nansum(one.probability[:, k] * p[:, 0] * frame_seconds(one.t)))
             if seconds > 1e-6:
                 result[one.track_id, other] = seconds
     return result
@@ -358,13 +463,17 @@ class _Known:
 
     track_id: IntArray
     t: FloatArray  # (p,) seconds
-    head: FloatArray  # (p, 2) direction, rad, and its variance, rad²; infinite where it was unknown
+    t_head: FloatArray  # (p,) seconds of the last observed head; −∞ without one
+    group: IntArray
     first: IntArray
     target: IntArray
-    bearing: FloatArray  # (k,) of those who were near, rad
-    person: FloatArray
-    place_bearing: FloatArray  # (p, places) radians
-    place: FloatArray
+    person: FloatArray  # (k, 3) belief over those who were near, as in `go_on`
+    elsewhere: FloatArray  # (p, places + WAYS, 3) belief over places and no target
+
+    def rows(self, track_id: IntArray) -> IntArray:
+        """Return the index of each of some people, −1: unknown."""
+        place = np.searchsorted(self.track_id, track_id)
+        return np.where(np.isin(track_id, self.track_id), place, -1)
 
     def of(self, rows: IntArray) -> _Known:
         """Return a selection of the people, in the given order."""
@@ -386,15 +495,14 @@ class _Known:
         return both.of(np.argsort(both.track_id))
 
 
-_OF_TARGETS = ("target", "bearing", "person")
+_OF_TARGETS = ("target", "person")
 """Fields of `_Known` with a value for each target; other fields have one for each person."""
 
 
 def _nobody(places: int) -> _Known:
     none, ids = np.empty(0), np.empty(0, dtype=np.int64)
-    zero = np.zeros(1, dtype=np.int64)
-    wide = np.empty((0, places)), np.empty((0, places + 1))
-    return _Known(ids, none, np.empty((0, 2)), zero, ids, none, none, *wide)
+    beliefs = np.empty((0, 3)), np.empty((0, places + WAYS, 3))
+    return _Known(ids, none, none, ids, np.zeros(1, dtype=np.int64), ids, *beliefs)
 
 
 class OnlineAttention(Saved):
@@ -422,13 +530,13 @@ class OnlineAttention(Saved):
     ('person', 2)
     """
 
-    _saved: ClassVar = {"t": float, "_known": _Known}
+    _saved: ClassVar = {"t": float, "_known": _Known, "_present": Saved}
 
     def __init__(self, places: Sequence[Place] = (), parameters: AttentionParameters | None = None) -> None:
         make_attention_ready()
         self.parameters = AttentionParameters() if parameters is None else parameters
         self.places = tuple(places)
-        self._known = _nobody(len(self.places))
+        self._known, self._present = _nobody(len(self.places)), Present()
         self.t = -math.inf
 
     def __repr__(self) -> str:
@@ -455,35 +563,46 @@ class OnlineAttention(Saved):
         ids = people.ids[people.person]
         if not np.array_equal(groups.track_id, ids):
             raise InputError("groups of other people", "groups of the people of this frame")
+        known = self._known
         if not len(people):
             none = _nobody(len(self.places))
-            return GazeTargets(0, math.nan, ids, none.first, none.target, none.person, names, none.place)
+            place = np.empty((0, len(names) + 1))
+            return GazeTargets(0, math.nan, ids, none.first, none.target, none.person[:, 0], names, place)
         t = float(people.t[0])
         if not t > self.t:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
-        parameters, known = self.parameters.to_array(), self._known
-        was = np.searchsorted(known.track_id, ids)
-        was = np.where(np.isin(ids, known.track_id), was, -1)
+        was = known.rows(ids)
+        before = np.where(was >= 0, np.append(known.t, -np.inf)[was], -np.inf)
+        head_before = np.where(was >= 0, np.append(known.t_head, -np.inf)[was], -np.inf)
+        everybody = self._present.take(people)
+        age = everybody.age
+        observers = np.flatnonzero(age == 0.0)
+        group = np.append(known.group, -1)[known.rows(everybody.ids)]
+        group[observers] = groups.group
         length = np.linalg.norm(people.head, axis=1)
         kappa = concentration(-2.0 * np.log(np.maximum(length, 1e-300)))
-        angle = direction(people.head)
-        geometry = np.array([place.viewed_from(people.position) for place in self.places]).reshape(
-            -1, 3, len(ids)
+        angle = np.where(length > 0.0, direction(people.head), np.nan)
+        parameters = self.parameters.to_array()
+        first, target, person, elsewhere = gaze_of_frame(
+            everybody.ids,
+            np.column_stack([everybody.position, drift(age), presence(age)]),
+            group,
+            observers,
+            np.column_stack([t - before, t - head_before]),
+            np.column_stack([angle, _noise(kappa)]),
+            _views(self.places, people.position),
+            *(was, known.first, known.target, known.person, known.elsewhere, parameters),
         )
-        bearing, half, far = np.ascontiguousarray(geometry.transpose(1, 2, 0))
-        before = list(vars(known).values())[1:]  # in the order of the step's arguments
-        head, first, target, bearing_now, person, place = gaze_of_frame(
-            *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
-            *(bearing, half, far, was, *before, parameters),
-        )
-        kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
+        t_head = np.where(length > 0.0, t, head_before)
+        kept = _Known(ids, np.full(len(ids), t), t_head, groups.group, first, target, person, elsewhere)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
-        kept_until = known.t + _FORGOTTEN / parameters[SWITCHING] + TIME_TOLERANCE
-        away = np.flatnonzero(gone & (t <= kept_until))
+        memory = max(_FORGOTTEN / self.parameters.switching, HELD)
+        away = np.flatnonzero(gone & (t - known.t <= memory + TIME_TOLERANCE))
         self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
-        return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)
+        place = with_nothing(elsewhere[:, :, PROBABILITY], len(names))
+        return GazeTargets(int(people.frame[0]), t, ids, first, target, person[:, PROBABILITY], names, place)
 
 
 def make_attention_ready() -> None:

@@ -22,7 +22,15 @@ from graphtrack.interaction.evidence import (
 )
 from graphtrack.interaction.groups import groups_of, make_groups_ready
 from graphtrack.interaction.parameters import DEFAULT
-from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
+from graphtrack.interaction.people import (
+    Numbers,
+    People,
+    Present,
+    numbers_of,
+    people_at,
+    people_of,
+    with_absent,
+)
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.conversation import GROUP, Group, with_group_at
 from graphtrack.saved import Saved
@@ -50,7 +58,7 @@ def solve_in_turn(
     before: dict[int, set[frozenset[int]]] = {}
     for _ in range(ROUNDS):
         estimates = {one.track.track_id: one.track for one in found if isinstance(one, Solution)}
-        people = people_of(estimates.values())
+        people = with_absent(people_of(estimates.values()))
         evidence = pair_evidence(people, DEFAULT)
         grouped = groups_of(people, DEFAULT, evidence)
         now = {frame: set(members) for frame, members in grouped.members().items()}
@@ -78,9 +86,10 @@ def with_neighbours(
     tracks: TrackSet, people: People, evidence: PairEvidence, correlation_time: float
 ) -> TrackSet:
     """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
-    values = neighbours(people, evidence)
+    observed = people.age == 0.0
+    values = neighbours(people, evidence)[observed]
     values[values[:, 2] == 0.0] = np.nan
-    frame, identity = people.frame[people.frame_of], people.ids[people.person]
+    frame, identity = people.frame[people.frame_of][observed], people.ids[people.person][observed]
 
     def with_groups(track: Track) -> Track:
         group = np.full((len(track), 3), np.nan)
@@ -167,12 +176,13 @@ class Conversations(Saved):
         "_people": dict[int, Numbers],
         "_known": dict[int, _Known],
         "_evidence": Saved,
+        "_present": Saved,
     }
 
     def __init__(self, model: Model) -> None:
         make_groups_ready()
         self._correlation_time = model.parameters.social.correlation_time
-        self._evidence = OnlineEvidence(DEFAULT)
+        self._evidence, self._present = OnlineEvidence(DEFAULT), Present()
         self._known: dict[int, _Known] = {}
         self._t, self._frame = -math.inf, 0
         self._people: dict[int, Numbers] = {}
@@ -215,7 +225,8 @@ class Conversations(Saved):
         t = float(people.t[0])
         kept = FORGOTTEN * DEFAULT.memory_seconds + TIME_TOLERANCE
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
-        found = neighbours(people, self._evidence.take(people))
+        everybody = self._present.take(people)
+        found = neighbours(everybody, self._evidence.take(everybody))[everybody.age == 0.0]
         ids = people.ids[people.person].tolist()
         old = [self._known.get(one) or _Known(t, 0.0, 0.0, (0.0, 0.0, 0.0)) for one in ids]
         before = np.array([(known.x, known.y) for known in old])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, concentration_from_resultant, unit
 from graphtrack.interaction.parameters import GroupParameters
-from graphtrack.interaction.people import IntArray, People
+from graphtrack.interaction.people import IntArray, People, presence
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import Saved
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -173,24 +173,24 @@ FORGOTTEN = 5.0
 
 
 def averaged(
-    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
+    pair: IntArray, t: FloatArray, values: FloatArray, share: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
     """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair (n,), and the sums of weights (n,) s.
 
-    Each frame counts for the time about it, so that the frame rate is without effect, but no frame for more
-    than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
+    Each frame counts for a share (n,) of the time about it, so that the frame rate is without effect, but no
+    frame for more than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
     """
     if seconds <= 0.0 or not len(pair):
         return values, np.zeros(len(pair))
     order: NDArray[np.int64] = np.lexsort((t, pair))
     found, weight = np.empty_like(values), np.empty(len(pair))
-    found[order], weight[order] = _averaged(pair[order], t[order], values[order], seconds)
+    found[order], weight[order] = _averaged(pair[order], t[order], values[order], share[order], seconds)
     return found, weight
 
 
 @allocating
 def _averaged(
-    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
+    pair: IntArray, t: FloatArray, values: FloatArray, share: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
     n, size = values.shape
     about, found, overall = np.empty(n), np.empty((n, size)), np.empty(n)
@@ -201,6 +201,7 @@ def _averaged(
             about[k] = min(low, high, seconds)
         else:
             about[k] = 0.5 * (min(low, seconds) + min(high, seconds))
+        about[k] *= share[k]
         fade = math.exp(-low / seconds)
         overall[k] = about[k]
         found[k] = about[k] * values[k]
@@ -239,6 +240,7 @@ def merged(
     sums: FloatArray,
     pairs: IntArray,
     values: FloatArray,
+    share: FloatArray,
     of: IntArray,
     seconds: FloatArray,
     t: float,
@@ -250,7 +252,7 @@ def merged(
     known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
     last : (k,) seconds
     sums : (k, 6) of the values of each pair, times the seconds that they count for, and of the seconds
-    values : (n, 4)
+    values, share : (n, 4), and (n,) of the time since the frame before for which they count
     of : (4,) which of the times of averaging each value has
     seconds : (2,)
     """
@@ -275,6 +277,7 @@ def merged(
         all_pairs[at], all_last[at] = pairs[n], t
         for part in range(len(seconds)):
             about, fade = since(gap, seconds[part])
+            about *= share[n]
             weight = about
             if fade > 0.0:
                 weight += fade * sums[k, size + part]
@@ -370,11 +373,13 @@ class PairValues:
     values : (n, 4) log odds of one group, and how much both walk, averaged over ``persistence_seconds``; the
         probability that both stand, or walk together, and the number of walkers near them, over
         ``memory_seconds``
+    share : (n,) by which these count: less, the longer ago either person was observed
     """
 
     left: IntArray
     right: IntArray
     values: FloatArray
+    share: FloatArray
 
     def evidence(
         self, people: People, means: FloatArray, seconds: FloatArray, parameters: GroupParameters
@@ -385,6 +390,8 @@ class PairValues:
         standing = np.maximum(1.0 - 2.0 * walking, 0.0)  # groups that walk are judged by how they do
         # Two who stand may also be any of the people who walk there and have stopped.
         odds = odds - standing * (encounter_odds(company, seconds, parameters) + np.log1p(_PASSING * walkers))
+        # Of one group are those alone who are still there.
+        odds = np.where(self.share < 1.0, np.log(self.share) - np.log(1.0 - self.share + np.exp(-odds)), odds)
         return PairEvidence(self.left, self.right, start, odds, walking)
 
 
@@ -406,7 +413,8 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
     odds = standing * odds + (1.0 - standing - walking) * parameters.apart + walking * alike
     walkers = np.bincount(left, walk[right], len(people)) + np.bincount(right, walk[left], len(people))
     near = np.minimum(walkers[left] - walk[right], walkers[right] - walk[left])
-    return PairValues(left, right, np.column_stack([odds, walking, company, np.maximum(near, 0.0)]))
+    values, present = np.column_stack([odds, walking, company, np.maximum(near, 0.0)]), presence(people.age)
+    return PairValues(left, right, values, present[left] * present[right])
 
 
 def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
@@ -415,8 +423,8 @@ def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
     pair = people.person[found.left] * len(people.ids) + people.person[found.right]
     t = people.t[people.frame_of[found.left]]
     persistence, memory = parameters.seconds
-    odds, _ = averaged(pair, t, found.values[:, :2], persistence)
-    company, seconds = averaged(pair, t, found.values[:, 2:], memory)
+    odds, _ = averaged(pair, t, found.values[:, :2], found.share, persistence)
+    company, seconds = averaged(pair, t, found.values[:, 2:], found.share, memory)
     return found.evidence(people, np.hstack([odds, company]), seconds, parameters)
 
 
@@ -452,6 +460,7 @@ class OnlineEvidence(Saved):
             self._sums,
             pairs,
             found.values,
+            found.share,
             _OF,
             np.array(self.parameters.seconds),
             t,

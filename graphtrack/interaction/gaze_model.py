@@ -18,9 +18,19 @@ SHOULDERS = 0.25
 """Half the width in metres of a person as gaze target or occluder."""
 LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
 """Indices in an array of `AttentionParameters`."""
+BEARING, HALF, FAR, BLUR, PRESENCE = range(5)
+"""Rows of a view of targets: bearing and half the angular width, rad; distance, m; variance of a predicted
+bearing, rad²; share of the presence that is certain. The distance of an absent target is NaN."""
+PROBABILITY, MEAN, VARIANCE = range(3)
+"""Columns of a belief over targets: probability, and the head's deviation from the bearing, rad and rad²."""
+WAYS = 24
+"""Directions of gaze at no target; they follow the targets."""
 _NARROW = 0.26  # radians, slightly more than half the angular width of a person at 1 m
-_NOISY_SECONDS = 1.5
+_REPEATED = 1.5  # seconds, twice the correlation time of the errors of heads
+_HIDDEN = 0.4  # seconds, mean duration of gaze at a target that other people hide
 _UNIFORM = 1.0 / (2.0 * math.pi)
+_WIDEST = math.pi**2 / 3.0  # rad², variance of the uniform density
+_WAY = 2.0 * math.pi / WAYS  # radians between two directions
 
 
 @compiled
@@ -39,20 +49,20 @@ def half_angle(radius: float, far: FloatArray) -> FloatArray:
 
 
 @allocating
-def see(
-    own: FloatArray, neighbours: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray
-) -> None:
-    """Fill bearing, half angular width and distance of other people.
+def see(own: FloatArray, neighbours: FloatArray, view: FloatArray) -> None:
+    """Fill the `BEARING`, … of other people in a view (5, n); those beyond `REACH` are absent.
 
-    Parameters
-    ----------
-    own, neighbours : (2,), (n, 2) metres; NaN: absent
-    bearing, half, far : (n,) radians, radians and metres
+    ``own``, ``neighbours``: (3,), (n, 4) position, m, its variance, m², and the share of the presence
     """
     for j in range(len(neighbours)):
         x, y = neighbours[j, 0] - own[0], neighbours[j, 1] - own[1]
-        bearing[j], far[j] = math.atan2(y, x), math.hypot(x, y)
-    half[:] = half_angle(SHOULDERS, far)
+        view[BEARING, j], view[FAR, j] = math.atan2(y, x), math.hypot(x, y)
+        square = max(x * x + y * y, 1e-12)
+        view[BLUR, j] = min((own[2] + neighbours[j, 2]) / square, _WIDEST)
+        view[PRESENCE, j] = neighbours[j, 3]
+        if not view[FAR, j] < REACH:
+            view[BEARING, j] = view[FAR, j] = math.nan
+    view[HALF] = half_angle(SHOULDERS, view[FAR])
 
 
 @compiled
@@ -102,9 +112,11 @@ def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray,
 
 
 @allocating
-def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return people in the form of `_share_in_sight`."""
-    near = np.flatnonzero(far < REACH)
+def _in_the_way(view: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return people in the form of `_share_in_sight`: those whose bearing is known within their width."""
+    bearing, half, far = view[BEARING], view[HALF], view[FAR]
+    near = np.flatnonzero(view[BLUR] < half**2)
+    near = near[~np.isnan(far[near])]
     near = near[np.argsort(bearing[near])]
     count = len(near)
     around, wide = np.empty((3, 3 * count)), np.empty((3, count))
@@ -122,114 +134,77 @@ def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple
 
 
 @allocating
-def prior_of_gaze(
-    bearing: FloatArray,
-    half: FloatArray,
-    far: FloatArray,
-    fellow: np.ndarray,
-    people: int,
-    parameters: FloatArray,
-    prior: FloatArray,
-) -> None:
-    """Fill (targets + 1,) prior probabilities of gaze targets without a head observation.
+def prior_of_gaze(view: FloatArray, fellow: np.ndarray, parameters: FloatArray, prior: FloatArray) -> None:
+    """Fill prior probabilities of targets and `WAYS`, (targets + WAYS,), without a head observation.
+
+    Without a target that is certain to be present, the probability of no target is greater.
 
     Parameters
     ----------
-    bearing, half : (targets,) radians, bearing and half angular width; people come first
-    far : (targets,) metres; NaN: absent
+    view : (5, targets) of the targets; people come first
     fellow : (people,) True in the observer's group
     """
-    around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
-    total = 0.0
-    for j in range(len(bearing)):
+    people = len(fellow)
+    around, wide = _in_the_way(view[:, :people])
+    total, surest = 0.0, 0.0
+    for j in range(view.shape[1]):
         prior[j] = 0.0
-        if not far[j] < (REACH if j < people else math.inf):
+        far = view[FAR, j]
+        if math.isnan(far):
             continue
-        weight = _share_in_sight(bearing[j], half[j], far[j], around, wide)
-        weight /= 1.0 + (far[j] / parameters[DISTANCE]) ** 2
+        weight = _share_in_sight(view[BEARING, j], view[HALF, j], far, around, wide) * view[PRESENCE, j]
+        weight /= 1.0 + (far / parameters[DISTANCE]) ** 2
         if j < people and fellow[j]:
             weight *= parameters[FELLOWS]
         prior[j] = weight
         total += weight
-    if total > 1e-12:
-        prior[:-1] *= (1.0 - parameters[NOTHING]) / total
-        prior[-1] = parameters[NOTHING]
-    else:  # without a visible person, gaze is at nothing
-        prior[:-1] = 0.0
-        prior[-1] = 1.0
+        surest = max(surest, view[PRESENCE, j] if weight > 0.0 else 0.0)
+    if not total > 1e-12:
+        total, surest = 1.0, 0.0
+    at_any = surest * (1.0 - parameters[NOTHING])
+    prior[:-WAYS] *= at_any / total
+    prior[-WAYS:] = (1.0 - at_any) / WAYS
+
+
+@compiled
+def spread_of(view: FloatArray, look_std: float, spread: FloatArray) -> None:
+    """Fill the variances (targets + WAYS,), rad², of heads about targets.
+
+    The variance of gaze, and those of the interval that a target covers and of its predicted bearing. Gaze at
+    no target has no fixed aim: twice the variance.
+    """
+    for j in range(view.shape[1]):
+        spread[j] = look_std**2 + min(view[HALF, j], math.pi) ** 2 / 3.0 + view[BLUR, j]
+    spread[-WAYS:] = 2.0 * look_std**2
 
 
 @allocating
 def densities(
     bearing: FloatArray,
-    half: FloatArray,
+    spread: FloatArray,
     weights: FloatArray,
     means: FloatArray,
     kappas: FloatArray,
-    look_std: float,
     found: FloatArray,
 ) -> None:
-    """Fill (targets + 1,) likelihoods of gaze at each target, given the head's posterior.
+    """Fill likelihoods of gaze at each target (n,), given a head's posterior with several modes.
 
-    The product of two von Mises densities is integrated, of the head and of gaze at the target; "nothing" has
-    the uniform density.
+    The product of two von Mises densities is integrated, of the head and of gaze at the target.
 
-    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: unknown
+    ``bearing``, ``spread``: (n,) rad and rad²; ``weights``, ``means``, ``kappas``: (modes,) of the head
     """
     scale = np.empty(len(kappas))
     for m in range(len(kappas)):
         scale[m] = kappas[m] + log_i0e(kappas[m])
-    found[-1] = _UNIFORM
     for j in range(len(bearing)):
-        # A disc or a polygon covers an interval, whose variance adds to that of gaze.
-        of_target = concentration_of(look_std**2 + min(half[j], math.pi) ** 2 / 3.0)
+        of_target = concentration_of(spread[j])
         of_scale = of_target + log_i0e(of_target)
         total = 0.0
         for m in range(len(kappas)):
             product = 2.0 * kappas[m] * of_target * math.cos(means[m] - bearing[j])
             both = math.sqrt(max(kappas[m] ** 2 + of_target**2 + product, 0.0))
             total += weights[m] * math.exp(both + log_i0e(both) - scale[m] - of_scale)
-        found[j] = total * _UNIFORM if not math.isnan(total) else _UNIFORM
-
-
-@compiled
-def carry(
-    gap: float,
-    head: FloatArray,
-    before: FloatArray,
-    bearing: FloatArray,
-    bearing_before: FloatArray,
-    parameters: FloatArray,
-    redrawn: FloatArray,
-    held: FloatArray,
-) -> None:
-    """Fill a frame's likelihoods of gaze at a new target, ``redrawn``, in place, and at the same, ``held``.
-
-    The deviation from a target is autoregressive. Gaze at nothing has a persistent direction as well, which
-    is the previous head direction. If heads have several modes or are less certain than that, frames closer
-    than `_NOISY_SECONDS` repeat the same evidence.
-
-    Parameters
-    ----------
-    gap : seconds from the frame before; infinite for the first
-    head, before : direction, rad, and its variance, rad², infinite if unknown or with several modes;
-        in this frame and the previous one
-    bearing, bearing_before : (targets,) radians; NaN: absent
-    redrawn, held : (targets + 1,)
-    """
-    memory = math.exp(-gap / parameters[CORRELATION]) if parameters[CORRELATION] > 0.0 else 0.0
-    spread = parameters[LOOK_STD] ** 2
-    if not max(head[1], before[1]) < spread * (1.0 - memory**2):
-        power = min(1.0, gap / _NOISY_SECONDS)
-        for j in range(len(redrawn)):
-            redrawn[j] = held[j] = redrawn[j] ** power
-        return
-    noise = head[1] + memory**2 * before[1]
-    for j in range(len(bearing)):
-        step = turn(turn(head[0] - bearing[j]) - memory * turn(before[0] - bearing_before[j]))
-        held[j] = _normal(step if not math.isnan(step) else 0.0, spread * (1.0 - memory**2) + noise)
-    variance = 2.0 * spread * (1.0 - memory) + head[1] + before[1]
-    held[-1] = _normal(turn(head[0] - before[0]), variance)
+        found[j] = total * _UNIFORM
 
 
 @compiled
@@ -238,30 +213,81 @@ def _normal(deviation: float, variance: float) -> float:
 
 
 @compiled
+def new_share(since: float) -> float:
+    """Return the share of a head's observation that is new ``since`` seconds after the one before.
+
+    Its errors are correlated over time, so that the information of a second does not depend on the rate.
+    """
+    return math.tanh(since / _REPEATED)
+
+
+@compiled
 def go_on(
+    gap: float,
+    head: FloatArray,
+    likelihood: FloatArray,
+    bearing: FloatArray,
+    spread: FloatArray,
     prior: FloatArray,
-    redrawn: FloatArray,
+    parameters: FloatArray,
+    belief: FloatArray,
     held: FloatArray,
-    stay: float,
-    before: FloatArray,
-    found: FloatArray,
+    drawn: FloatArray,
 ) -> None:
-    """Step of the chain over targets: the target stays, or is redrawn from the frame's prior.
+    """Step of the filter over targets: the target stays, or is drawn from the frame's prior.
+
+    A head's deviation from each target is an Ornstein-Uhlenbeck process about 0, with a Kalman filter of its
+    own; the two cases are merged into one Gaussian.
 
     Parameters
     ----------
-    stay : probability that the target has not changed; 0 in the first frame
-    before, found : (targets + 1,) probabilities in the frame before, and in this one
+    gap : seconds from the frame before; infinite for the first
+    head : direction, rad, and its variance, rad²; NaN if unknown or with several modes
+    likelihood : (n,) of a head with several modes at each target; 1 for others
+    bearing, spread, prior : (n,) of the targets and `WAYS`; NaN bearing: absent
+    belief : (n, 3) `PROBABILITY`, `MEAN` and `VARIANCE`, filtered in place
+    held, drawn : (n,) filled: likelihoods, times the probability of staying, and of being drawn
     """
+    stay = math.exp(-parameters[SWITCHING] * gap)
+    hidden = stay * math.exp(-gap / _HIDDEN)
+    correlation = max(parameters[CORRELATION], 1e-9)
+    ways = len(prior) - WAYS
+    for j in range(ways):
+        if belief[j, PROBABILITY] == 0.0 and prior[j] > 0.0:
+            # Gaze in the direction of a target that appears may have been at this target.
+            way = ways + math.floor(bearing[j] / _WAY + 0.5) % WAYS
+            belief[j, PROBABILITY] = belief[way, PROBABILITY] * prior[j] / max(prior[way], 1e-12)
+            belief[j, MEAN] = turn(belief[way, MEAN] + bearing[way] - bearing[j])
+            belief[j, VARIANCE] = belief[way, VARIANCE]
     total = 0.0
     for j in range(len(prior)):
-        value = (1.0 - stay) * prior[j] * redrawn[j]
-        if stay > 0.0 and prior[j] > 0.0:
-            value += stay * before[j] * held[j]
-        found[j] = value
+        known = not math.isnan(bearing[j])
+        held[j] = (stay if prior[j] > 0.0 else hidden) * likelihood[j] if known else 0.0
+        drawn[j] = (1.0 - stay) * prior[j] * likelihood[j]
+        fresh_mean, fresh = 0.0, spread[j] if known else 1.0
+        # Wide targets have longer memories, else the movement of a head would tell them from narrow ones.
+        memory = math.exp(-gap / correlation * parameters[LOOK_STD] ** 2 / fresh)
+        mean = memory * belief[j, MEAN]
+        variance = memory**2 * belief[j, VARIANCE] + (1.0 - memory**2) * fresh
+        if known and not math.isnan(head[0]):
+            deviation = turn(head[0] - bearing[j])
+            off = turn(deviation - mean)
+            held[j] *= _normal(off, variance + head[1])
+            drawn[j] *= _normal(deviation, fresh + head[1])
+            mean += variance / (variance + head[1]) * off
+            variance *= head[1] / (variance + head[1])
+            fresh_mean = fresh / (fresh + head[1]) * deviation
+            fresh *= head[1] / (fresh + head[1])
+        stayed = belief[j, PROBABILITY] * held[j]
+        value = stayed + drawn[j]
+        share = stayed / value if value > 0.0 else 0.0
+        apart = turn(mean - fresh_mean)
+        belief[j, PROBABILITY] = value
+        belief[j, MEAN] = fresh_mean + share * apart
+        belief[j, VARIANCE] = share * variance + (1.0 - share) * fresh + share * (1.0 - share) * apart**2
         total += value
     for j in range(len(prior)):
-        found[j] = found[j] / total if total > 0.0 else prior[j]
+        belief[j, PROBABILITY] = belief[j, PROBABILITY] / total if total > 0.0 else prior[j]
 
 
 @allocating
@@ -269,12 +295,11 @@ def gaze_over_time(
     own: FloatArray,
     neighbours: FloatArray,
     fellow: np.ndarray,
-    bearing: FloatArray,
-    half: FloatArray,
-    far: FloatArray,
+    places: FloatArray,
     weights: FloatArray,
     means: FloatArray,
     kappas: FloatArray,
+    noise: FloatArray,
     gap: FloatArray,
     both: bool,
     parameters: FloatArray,
@@ -283,147 +308,152 @@ def gaze_over_time(
 
     Parameters
     ----------
-    own, neighbours : (n, 2), (n, people, 2) metres; NaN: absent
+    own, neighbours : (n, 3), (n, people, 4) as for `see`; NaN: absent
     fellow : (n, people)
-    bearing, half, far : (n, targets) of places; the entries of people, which come first, are filled
-    weights, means, kappas : (n, modes) of the head
+    places : (n, 5, places) view of the places
+    weights, means, kappas : (n, modes) of the head; NaN weights: unknown
+    noise : (n,) rad², variance of the head if it has a single mode
     gap : (n,) seconds from the frame before
     """
-    n, count = bearing.shape
-    prior, redrawn, held = np.empty((n, count + 1)), np.empty((n, count + 1)), np.empty((n, count + 1))
-    stay, found = np.exp(-parameters[SWITCHING] * gap), np.empty((n, count + 1))
-    stay[:1] = 0.0
-    head = np.empty((n, 2))
-    people = fellow.shape[1]
+    n, people = fellow.shape
+    count = people + places.shape[2]
+    size = count + WAYS
+    view, prior, spread, bearing = np.empty((5, count)), np.empty(size), np.empty(size), np.empty(size)
+    bearing[count:] = _WAY * np.arange(WAYS)
+    held, drawn, found = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
+    belief, likelihood, head = np.zeros((size, 3)), np.ones(size), np.empty(2)
+    since = math.inf
     for f in range(n):
-        see(own[f], neighbours[f], bearing[f, :people], half[f, :people], far[f, :people])
-        prior_of_gaze(bearing[f], half[f], far[f], fellow[f], people, parameters, prior[f])
-        densities(bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], redrawn[f])
-        head[f, 0] = means[f, 0]
-        known = weights.shape[1] == 1 and not math.isnan(weights[f, 0])
-        head[f, 1] = noise_of(kappas[f, 0]) if known else math.inf
-        b = max(f - 1, 0)
-        since = gap[f] if f > 0 else math.inf
-        carry(since, head[f], head[b], bearing[f], bearing[b], parameters, redrawn[f], held[f])
-        go_on(prior[f], redrawn[f], held[f], stay[f], found[b], found[f])
+        before = gap[f] if f > 0 else math.inf
+        since += before
+        see(own[f], neighbours[f], view[:, :people])
+        view[:, people:] = places[f]
+        bearing[:count] = view[BEARING]
+        spread_of(view, parameters[LOOK_STD], spread)
+        prior_of_gaze(view, fellow[f], parameters, prior)
+        head[:] = math.nan
+        likelihood[:] = 1.0
+        if not math.isnan(weights[f, 0]):
+            share = new_share(since)
+            since = 0.0
+            if weights.shape[1] > 1:
+                densities(bearing, spread, weights[f], means[f], kappas[f], likelihood)
+                likelihood[:] = likelihood**share
+            else:
+                head[0], head[1] = means[f, 0], noise[f] / share
+        go_on(before, head, likelihood, bearing, spread, prior, parameters, belief, held[f], drawn[f])
+        found[f] = belief[:, PROBABILITY]
     if both:
-        _look_back(prior, redrawn, held, stay, found)
-    return found
-
-
-@compiled
-def noise_of(kappa: float) -> float:
-    """Return the variance, rad², of a direction with a concentration; at most that of the uniform density."""
-    return min(1.0 / max(kappa, 1e-6), math.pi**2 / 3.0)
+        _look_back(held, drawn, found)
+    return with_nothing(found, count)
 
 
 @allocating
-def _look_back(
-    prior: FloatArray, redrawn: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
-) -> None:
+def with_nothing(found: FloatArray, count: int) -> FloatArray:
+    """Return the (n, targets + 1) probabilities of targets and of none, from (n, targets + WAYS)."""
+    summed = np.empty((len(found), count + 1))
+    summed[:, :count] = found[:, :count]
+    for f in range(len(found)):
+        summed[f, count] = found[f, count:].sum()
+    return summed
+
+
+@allocating
+def _look_back(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
     """Backward pass over the chain: turn filtered into smoothed probabilities."""
-    n, count = prior.shape
-    back = np.ones(count)
+    n, count = found.shape
+    back, smoothed = np.ones(count), np.empty(count)
     for f in range(n - 2, -1, -1):
-        drawn = 0.0
+        at_new, most, total = 0.0, 0.0, 0.0
         for j in range(count):
-            drawn += prior[f + 1, j] * redrawn[f + 1, j] * back[j]
-        total, most = 0.0, 0.0
+            at_new += drawn[f + 1, j] * back[j]
         for j in range(count):
-            goes_on = held[f + 1, j] * back[j] if prior[f + 1, j] > 0.0 else 0.0
-            back[j] = stay[f + 1] * goes_on + (1.0 - stay[f + 1]) * drawn
+            back[j] = held[f + 1, j] * back[j] + at_new
             most = max(most, back[j])
         for j in range(count):
             back[j] = back[j] / most if most > 0.0 else 1.0
-            found[f, j] *= back[j]
-            total += found[f, j]
-        for j in range(count):
-            found[f, j] = found[f, j] / total if total > 0.0 else prior[f, j]
+            smoothed[j] = found[f, j] * back[j]
+            total += smoothed[j]
+        if total > 0.0:
+            found[f] = smoothed / total
 
 
 @compiled
-def _near(position: FloatArray, i: int, j: int) -> bool:
-    x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+def _near(others: FloatArray, i: int, j: int) -> bool:
+    x, y = others[j, 0] - others[i, 0], others[j, 1] - others[i, 1]
     return i != j and x * x + y * y < REACH * REACH
 
 
 @allocating
 def gaze_of_frame(
-    t: float,
     ids: IntArray,
-    position: FloatArray,
-    angle: FloatArray,
-    kappa: FloatArray,
-    last_head: np.ndarray,
+    others: FloatArray,
     group: IntArray,
-    place_bearing: FloatArray,
-    place_half: FloatArray,
-    place_far: FloatArray,
+    rows: IntArray,
+    gap: FloatArray,
+    head: FloatArray,
+    places: FloatArray,
     was: IntArray,
-    t_before: FloatArray,
-    head_before: FloatArray,
     first_before: IntArray,
     target_before: IntArray,
-    bearing_before: FloatArray,
     person_before: FloatArray,
-    place_bearing_before: FloatArray,
-    place_before: FloatArray,
+    elsewhere_before: FloatArray,
     parameters: FloatArray,
-) -> tuple[FloatArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
-    """Step of all people's chains: head, first, target, bearing, person and place, as in `_Known`.
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Step of all observers' filters: first, target, person and elsewhere, as in `_Known`.
 
     Parameters
     ----------
-    ids, position, angle, kappa, last_head, group : (n,) identity, position, and head direction if observed
-    place_bearing, place_half, place_far : (n, places) bearing, half angular width and distance of places
-    was : (n,) index of each among the previous people, −1: unknown; the following arguments are theirs
+    ids, others, group : (m,) identity, ascending, (m, 4) as for `see`, and group of all people
+    rows : (n,) of these, the observers
+    gap : (n, 2) seconds from each one's frame before, and from the last observed head; infinite without one
+    head : (n, 2) direction, rad, and its variance, rad²; NaN direction: unknown
+    places : (n, 5, places) view of the places
+    was : (n,) index of each among the previous observers, −1: none; the following arguments are theirs
     """
-    n, places = place_bearing.shape
-    first, head = np.zeros(n + 1, dtype=np.int64), np.empty((n, 2))
+    n, count = len(rows), places.shape[2]
+    first = np.zeros(n + 1, dtype=np.int64)
     for i in range(n):
         near = 0
-        for j in range(n):
-            near += _near(position, i, j)
+        for j in range(len(ids)):
+            near += _near(others, rows[i], j)
         first[i + 1] = first[i] + near
-    target = np.empty(first[-1], dtype=np.int64)
-    all_bearing, person = np.empty(first[-1]), np.empty(first[-1])
-    place = np.empty((n, places + 1))
-    neighbours, fellow, weight = np.empty((n, 2)), np.empty(n, dtype=np.bool_), np.ones(1)
-    room = np.empty((9, n + places + 1))
+    target, person = np.empty(first[-1], dtype=np.int64), np.empty((first[-1], 3))
+    elsewhere = np.empty((n, count + WAYS, 3))
+    size = len(ids) + count + WAYS
+    neighbours, fellow = np.empty((len(ids), 4)), np.empty(len(ids), dtype=np.bool_)
+    room, all_views, beliefs = np.empty((5, size)), np.empty((5, size)), np.empty((size, 3))
+    likelihood, scaled = np.ones(size), np.empty(2)
+    ways = _WAY * np.arange(WAYS)
     for i in range(n):
-        at, people = first[i], first[i + 1] - first[i]
-        count = people + places
-        bearing, half, far = room[0, :count], room[1, :count], room[2, :count]
-        prior, redrawn, held = room[3, : count + 1], room[4, : count + 1], room[5, : count + 1]
-        then, then_bearing, found = room[6, : count + 1], room[7, :count], room[8, : count + 1]
+        at, people, row = first[i], first[i + 1] - first[i], rows[i]
+        targets, last = people + count, people + count + WAYS
+        prior, spread, bearing = room[0, :last], room[1, :last], room[2, :last]
+        held, drawn = room[3, :last], room[4, :last]
+        view, belief = all_views[:, :targets], beliefs[:last]
         k = 0
-        for j in range(n):
-            if _near(position, i, j):
-                target[at + k], neighbours[k] = ids[j], position[j]
-                fellow[k] = group[i] >= 0 and group[i] == group[j]
+        for j in range(len(ids)):
+            if _near(others, row, j):
+                target[at + k], neighbours[k] = ids[j], others[j]
+                fellow[k] = group[row] >= 0 and group[row] == group[j]
                 k += 1
-        see(position[i], neighbours[:people], bearing[:people], half[:people], far[:people])
-        bearing[people:], half[people:], far[people:] = place_bearing[i], place_half[i], place_far[i]
-        prior_of_gaze(bearing, half, far, fellow[:people], people, parameters, prior)
-        weight[0] = 1.0 if last_head[i] else math.nan
-        one = slice(i, i + 1)
-        densities(bearing, half, weight, angle[one], kappa[one], parameters[LOOK_STD], redrawn)
-        head[i, 0], head[i, 1] = angle[i], noise_of(kappa[i]) if last_head[i] else math.inf
+        see(others[row], neighbours[:people], view[:, :people])
+        view[:, people:] = places[i]
+        bearing[:targets], bearing[targets:] = view[BEARING], ways
+        spread_of(view, parameters[LOOK_STD], spread)
+        prior_of_gaze(view, fellow[:people], parameters, prior)
+        belief[:] = 0.0
         p = was[i]
-        gap, stay, before = math.inf, 0.0, head[i]
-        then[:], then_bearing[:] = 0.0, math.nan
         if p >= 0:
-            gap, before = t - t_before[p], head_before[p]
-            stay = math.exp(-parameters[SWITCHING] * gap)
             b, end = first_before[p], first_before[p + 1]
             for k in range(people):
                 while b < end and target_before[b] < target[at + k]:
                     b += 1
                 if b < end and target_before[b] == target[at + k]:
-                    then[k], then_bearing[k] = person_before[b], bearing_before[b]
-            then[people:], then_bearing[people:] = place_before[p], place_bearing_before[p]
-        carry(gap, head[i], before, bearing, then_bearing, parameters, redrawn, held)
-        go_on(prior, redrawn, held, stay, then, found)
-        person[at : at + people], all_bearing[at : at + people] = found[:people], bearing[:people]
-        place[i] = found[people:]
-    return head, first, target, all_bearing, person, place
+                    belief[k] = person_before[b]
+            belief[people:] = elsewhere_before[p]
+        scaled[0], scaled[1] = head[i, 0], head[i, 1] / new_share(gap[i, 1])
+        of_head = likelihood[:last]
+        go_on(gap[i, 0], scaled, of_head, bearing, spread, prior, parameters, belief, held, drawn)
+        person[at : at + people], elsewhere[i] = belief[:people], belief[people:]
+    return first, target, person, elsewhere

@@ -25,8 +25,10 @@ from graphtrack.interaction.people import (
     IntArray,
     People,
     PeopleEstimates,
+    Present,
     people_of,
     people_of_estimates,
+    with_absent,
 )
 from graphtrack.kernels.compilation import Rehearsal, allocating, compiled, make_ready
 from graphtrack.saved import Saved
@@ -262,6 +264,10 @@ class Numbering(Saved):
         self._number_of: dict[int, int] = {}  # of each who was in a group when it was last seen
         self._following = 0
 
+    def members(self, t: float) -> dict[int, frozenset[int]]:
+        """Return the members of each group of the frame at ``t`` (s), by its number."""
+        return {number: member for number, (then, member) in self._last.items() if then == t}
+
     def of_frame(self, t: float, groups: Sequence[Sequence[int]]) -> list[int]:
         """The number of each group of a frame.
 
@@ -354,6 +360,17 @@ class Groups:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def __getitem__(self, rows: np.ndarray) -> Groups:
+        """Return a selection of the rows."""
+        return Groups(*(values[rows] for values in vars(self).values()))
+
+    @property
+    def per_frame(self) -> float:
+        """Mean number of groups in a frame, those with a single observed member included."""
+        grouped = self.group >= 0
+        pairs = np.unique(np.column_stack([self.frame[grouped], self.group[grouped]]), axis=0)
+        return len(pairs) / max(len(np.unique(self.frame)), 1)
+
     def columns(self) -> dict[str, np.ndarray]:
         """Return the columns of the table."""
         return {
@@ -388,6 +405,9 @@ class Groups:
 def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: bool = False) -> Groups:
     """Find who stands in conversation, and who walks together.
 
+    A person who is not observed in a frame counts there where predicted, up to `HELD` from the nearest
+    observation, so that a missing row ends no group, and people may have times of their own.
+
     Parameters
     ----------
     tracks : estimates, or observations, which count as far as their concentrations say; people count in the
@@ -401,19 +421,25 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     warn_unused(given, USED, "groups")
     people = people_of(given, online=online)
     if not online:
-        return groups_of(people, chosen, pair_evidence(people, chosen))
-    known, numbering = OnlineEvidence(chosen), Numbering(chosen.memory_seconds)
+        return groups_of_present(people, chosen)
+    known = OnlineGroups(chosen)
     if not len(people):
-        return groups_of(people, chosen, known.take(people))
-    parts = [groups_of(one, chosen, known.take(one), numbering) for one in people.frames()]
+        return known.take(people)
+    parts = [known.take(one) for one in people.frames()]
     columns = [np.concatenate([getattr(one, name) for one in parts]) for name in vars(parts[0])]
     return Groups(*columns)
+
+
+def groups_of_present(people: People, parameters: GroupParameters) -> Groups:
+    """Return the groups of people, with those predicted who are not observed for a short time."""
+    everybody = with_absent(people)
+    return groups_of(everybody, parameters, pair_evidence(everybody, parameters))
 
 
 def groups_of(
     people: People, parameters: GroupParameters, evidence: PairEvidence, numbering: Numbering | None = None
 ) -> Groups:
-    """The partition of every frame under the evidence of pairs.
+    """The partition of every frame under the evidence of pairs, with rows for those who are observed.
 
     ``numbering``: that knows the frames before; None: there are none
     """
@@ -435,7 +461,7 @@ def groups_of(
         kind,
         _probability(people, evidence, within, size, parameters.apart),
         _centres(people, label, size, kind, parameters),
-    )
+    )[people.age == 0.0]
 
 
 def _probability(
@@ -484,17 +510,22 @@ class OnlineGroups(Saved):
     ['walking', 'walking']
     """
 
-    _saved: ClassVar = {"t": float, "_numbering": Saved, "_evidence": Saved}
+    _saved: ClassVar = {"t": float, "_numbering": Saved, "_evidence": Saved, "_present": Saved}
 
     def __init__(self, parameters: GroupParameters | None = None) -> None:
         make_groups_ready()
         self.parameters = DEFAULT if parameters is None else parameters
         self._numbering = Numbering(self.parameters.memory_seconds)
-        self._evidence = OnlineEvidence(self.parameters)
+        self._evidence, self._present = OnlineEvidence(self.parameters), Present()
         self.t = -math.inf
 
     def __repr__(self) -> str:
         return f"OnlineGroups({len(self._evidence)} pairs known)"
+
+    @property
+    def members(self) -> dict[int, frozenset[int]]:
+        """Ids of the members of each group of the last frame, by its number; absent ones included."""
+        return self._numbering.members(self.t)
 
     def update(self, t: float, people: PeopleEstimates) -> Groups:
         """Take in the people of a frame; the groups in it, a row for each person, by identity.
@@ -519,7 +550,8 @@ class OnlineGroups(Saved):
         t = float(people.t[0])
         if not t > self.t:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
-        found = groups_of(people, self.parameters, self._evidence.take(people), self._numbering)
+        everybody = self._present.take(people)
+        found = groups_of(everybody, self.parameters, self._evidence.take(everybody), self._numbering)
         self.t = t
         return found
 
@@ -536,12 +568,13 @@ def facing_people(frames: int) -> People:
     position, ahead = np.column_stack([x, 0.0 * x]), np.column_stack([0.9 - 1.8 * x, 0.1 + 0.0 * x])
     frame, first = np.arange(frames), np.arange(0, 2 * frames + 1, 2)
     t = frame.astype(float)
-    return People(np.arange(2), frame, t, first, person, position, 0.0 * position, ahead, ahead)
+    seen = position, 0.0 * position, ahead, ahead, np.zeros(2 * frames)
+    return People(np.arange(2), frame, t, first, person, *seen)
 
 
 def _rehearse() -> None:
     people, online = facing_people(2), OnlineGroups()
-    groups_of(people, DEFAULT, pair_evidence(people, DEFAULT))
+    groups_of_present(people, DEFAULT)
     for one in people.frames():
         online.take(one)
 

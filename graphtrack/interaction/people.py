@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from graphtrack.geometry.angles import (
 from graphtrack.interaction.gaze_model import half_angle
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_records, expected_number, parse_number
+from graphtrack.saved import Saved
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import LARGEST_METRES
@@ -37,6 +38,9 @@ IntArray = NDArray[np.int64]
 
 _SLOPE_SECONDS = 0.5
 """Half width in seconds of the differences for missing velocities, if frames are closer."""
+HELD = 4.0
+"""Seconds for which a person without an observation counts where predicted."""
+_ACCELERATION = 0.5  # m²/s³, spectral density of the acceleration of a person without an observation
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,7 @@ class People:
     velocity: FloatArray  # (n, 2) m/s; 0 if unknown
     body: FloatArray  # (n, 2)
     head: FloatArray  # (n, 2)
+    age: FloatArray  # (n,) seconds from the nearest observation, where predicted; 0 where observed
 
     def __len__(self) -> int:
         return len(self.person)
@@ -63,6 +68,11 @@ class People:
     def frame_of(self) -> IntArray:
         """(n,) index in ``frame`` of each row."""
         return np.repeat(np.arange(len(self.frame)), np.diff(self.first))
+
+    @property
+    def values(self) -> FloatArray:
+        """(n, 8) position, velocity, body and head of each row."""
+        return np.hstack([self.position, self.velocity, self.body, self.head])
 
     def frames(self) -> Iterator[People]:
         """Return the people of each frame separately."""
@@ -74,7 +84,7 @@ class People:
                 self.t[k : k + 1],
                 np.array([0, count]),
                 np.arange(count),
-                *(values[here] for values in (self.position, self.velocity, self.body, self.head)),
+                *(values[here] for values in (self.position, self.velocity, self.body, self.head, self.age)),
             )
 
 
@@ -88,26 +98,27 @@ def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
     """Return the people of a scene with known positions.
 
     Estimates are weighted by their covariance, observed angles by their concentration; angles with neither
-    are exact. With ``online``, missing velocities are computed from the past.
+    are exact. Rows without an angle take those of the neighbouring rows, less certain by the time between.
+    With ``online``, missing velocities and angles are computed from the past.
     """
     chosen = sorted(tracks, key=lambda track: track.track_id)
-    parts = [_rows(track, online) for track in chosen]
+    parts = [known_rows(track, online) for track in chosen]
     ids = np.array([track.track_id for track in chosen], dtype=np.int64)
     person = np.repeat(np.arange(len(chosen)), [len(part[0]) for part in parts])
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)] if parts else _nobody()
     order = np.lexsort((person, joined[0]))
     frames, t, position, velocity, body, head = (column[order] for column in joined)
     frame, first = np.unique(frames, return_index=True)
-    return People(
-        ids, frame, t[first], np.append(first, len(frames)), person[order], position, velocity, body, head
-    )
+    bounds, age = np.append(first, len(frames)), np.zeros(len(frames))
+    return People(ids, frame, t[first], bounds, person[order], position, velocity, body, head, age)
 
 
 def _nobody() -> list[np.ndarray]:
     return [np.empty(0, dtype=np.int64), np.empty(0), *(np.empty((0, 2)) for _ in range(4))]
 
 
-def _rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
+def known_rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
+    """Return frame, time, position, velocity, body and head, as in `People`, where the position is known."""
     known: BoolArray = np.asarray(np.isfinite(track.position).all(axis=1))
     velocity = _velocity(track, known, online) if track.velocity is None else track.velocity[known]
     return (
@@ -115,9 +126,138 @@ def _rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
         track.t[known],
         track.position[known],
         np.nan_to_num(velocity),
-        expected_direction(track, "body")[known],
-        expected_direction(track, "head")[known],
+        *(
+            _without_gaps(track.t[known], expected_direction(track, name)[known], online)
+            for name in ("body", "head")
+        ),
     )
+
+
+def _without_gaps(t: FloatArray, vector: FloatArray, online: bool) -> FloatArray:
+    """Return unit vectors (n, 2) with those of the neighbouring rows where they are 0."""
+    known = vector.any(axis=1)
+    if known.all() or not known.any():
+        return vector
+    found, since, until = interpolated(t[known], vector[known], t, online=online)
+    return found * presence(np.minimum(since, until))[:, None]
+
+
+def presence(age: FloatArray) -> FloatArray:
+    """Return the share (n,), 1 to 0 at `HELD`, by which predictions from observations of an age (s) count."""
+    return np.asarray(np.clip(1.0 - age / HELD, 0.0, 1.0))
+
+
+def interpolated(
+    known: FloatArray, values: FloatArray, t: FloatArray, *, online: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values (m, k) at times t (m,), and the seconds (m,) since the row before and until the next.
+
+    Linear between two rows, else those of the only neighbour; infinite seconds without a row, and with
+    ``online`` until the next.
+
+    ``known``, ``values``: (n,) seconds, ascending, and (n, k) of the rows, at least one
+    """
+    last = len(known) - 1
+    before, after = np.searchsorted(known, t, side="right") - 1, np.searchsorted(known, t)
+    since = np.where(before >= 0, t - known[np.maximum(before, 0)], np.inf)
+    until = np.where((after <= last) & (not online), known[np.minimum(after, last)] - t, np.inf)
+    apart = np.where(np.isfinite(since), np.maximum(since + until, 1e-300), 1.0)
+    share = np.where(np.isfinite(since), since / apart, 1.0)[:, None]
+    found = (1.0 - share) * values[np.maximum(before, 0)] + share * values[np.minimum(after, last)]
+    return found, since, until
+
+
+def predicted(
+    known: FloatArray, values: FloatArray, t: FloatArray, *, online: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return a person's values (m, k) at times t (m,), and the seconds (m,) from the nearest observation.
+
+    Values are linear between two observations. Before the first and after the last one, a person moves at
+    constant velocity, for `HELD`. Directions become shorter, to 0 at `HELD`.
+
+    Parameters
+    ----------
+    known : (n,) seconds of the observations, ascending, at least one
+    values : (n, k) position, velocity, then directions
+    online : True to use only observations before each time; their seconds are infinite without one
+    """
+    found, since, until = interpolated(known, values, t, online=online)
+    beyond = np.where(np.isinf(until), since, np.where(np.isinf(since), -until, 0.0))
+    return _moved(found, beyond, np.minimum(since, until)), np.minimum(since, until)
+
+
+def _moved(values: FloatArray, seconds: FloatArray, age: FloatArray) -> FloatArray:
+    """Return values (m, k) as in `predicted` after seconds (m,) of constant velocity, at an age (m,)."""
+    ahead = np.clip(seconds, -HELD, HELD)[:, None]
+    moved = (values[:, :2] + ahead * values[:, 2:4], values[:, 2:4], presence(age)[:, None] * values[:, 4:])
+    return np.hstack(moved)
+
+
+def drift(age: FloatArray) -> FloatArray:
+    """Return the variance (n,), m² on each axis, of a position predicted from an observation of an age (s).
+
+    That of a constant-velocity model with white-noise acceleration; constant from `HELD` on.
+    """
+    return np.asarray(_ACCELERATION * np.minimum(age, HELD) ** 3 / 3.0)
+
+
+def with_absent(people: People) -> People:
+    """Add the people who are not observed in a frame, but before and after it, less than `HELD` from one."""
+    values, frame_of = people.values, people.frame_of
+    order = np.argsort(people.person, kind="stable")
+    ends = np.searchsorted(people.person[order], np.arange(len(people.ids) + 1))
+    parts = [(frame_of, people.person, values, np.zeros(len(people)))]
+    for person, (begin, end) in enumerate(pairwise(ends.tolist())):
+        rows = order[begin:end]
+        if not len(rows):
+            continue
+        known = people.t[frame_of[rows]]
+        first, stop = np.searchsorted(people.t, known[[0, -1]])
+        frames = np.setdiff1d(np.arange(first, stop), frame_of[rows], assume_unique=True)
+        found, age = predicted(known, values[rows], people.t[frames], online=False)
+        near = age < HELD
+        count = np.count_nonzero(near)
+        parts.append((frames[near], np.full(count, person), found[near], age[near]))
+    all_frames, persons, all_values, ages = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.lexsort((persons, all_frames))
+    bounds = np.searchsorted(all_frames[order], np.arange(len(people.frame) + 1))
+    columns = (*np.split(all_values[order], 4, axis=1), ages[order])
+    return People(people.ids, people.frame, people.t, bounds, persons[order], *columns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Last observation of people."""
+
+    track_id: IntArray  # (p,) ascending
+    t: FloatArray  # (p,) seconds
+    values: FloatArray  # (p, 8) as `People.values`
+
+
+class Present(Saved):
+    """People of frame after frame, with those who were observed less than `HELD` before."""
+
+    _saved: ClassVar = {"_seen": _Seen}
+
+    def __init__(self) -> None:
+        self._seen = _Seen(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 8)))
+
+    def take(self, people: People) -> People:
+        """Take the people of one frame, later than those before, or of none, and add the absent people."""
+        if not len(people):
+            return people
+        t, seen = float(people.t[0]), self._seen
+        here = people.ids[people.person]
+        absent = (t - seen.t < HELD) & ~np.isin(seen.track_id, here)
+        track_id = np.concatenate([here, seen.track_id[absent]])
+        last = np.concatenate([np.full(len(here), t), seen.t[absent]])
+        values = np.vstack([people.values, seen.values[absent]])
+        order = np.argsort(track_id)
+        track_id, last, values = track_id[order], last[order], values[order]
+        self._seen = _Seen(track_id, last, values)
+        age, rows = t - last, np.arange(len(track_id))
+        columns = (*np.split(_moved(values, age, age), 4, axis=1), age)
+        return People(track_id, people.frame, people.t, np.array([0, len(rows)]), rows, *columns)
 
 
 def expected_unit(angle: FloatArray, variance: FloatArray) -> FloatArray:
@@ -144,7 +284,10 @@ def expected_direction(track: Track, name: str) -> FloatArray:
 
 
 def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
-    """Return the slope of known positions, over `_SLOPE_SECONDS` or a frame to either side."""
+    """Return the slope of known positions, over `_SLOPE_SECONDS` or a frame to either side.
+
+    Positions over a shorter time say less of a velocity than their noise does: there it is nearer to 0.
+    """
     t, position = track.t[known], track.position[known]
     count = len(t)
     if count < 2:
@@ -153,9 +296,9 @@ def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
     before = np.minimum(np.searchsorted(t, t - reach), np.maximum(each - 1, 0))
     after = np.maximum(np.searchsorted(t, t + reach, side="right") - 1, np.minimum(each + 1, count - 1))
     if online:
-        past: FloatArray = (position - position[before]) / np.where(each > 0, t - t[before], 1.0)[:, None]
-        return past
-    slope: FloatArray = (position[after] - position[before]) / (t[after] - t[before])[:, None]
+        after = each
+    seconds = np.maximum(t[after] - t[before], _SLOPE_SECONDS)
+    slope: FloatArray = (position[after] - position[before]) / seconds[:, None]
     return slope
 
 
@@ -208,6 +351,7 @@ def people_at(t: float, frame: int, numbers: Mapping[int, Numbers]) -> People:
         np.nan_to_num(table[:, 2:4]),
         expected_unit(table[:, 4], table[:, 6]),
         expected_unit(table[:, 5], table[:, 7]),
+        np.zeros(count),
     )
 
 

@@ -19,9 +19,9 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
     walks,
 )
-from graphtrack.interaction.groups import groups, groups_of
+from graphtrack.interaction.groups import groups, groups_of_present
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.interaction.people import IntArray, People, people_of
+from graphtrack.interaction.people import IntArray, People, people_of, with_absent
 from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_gaze, score_groups, true_shares
 from graphtrack.interaction.tables import LookLabels
 from graphtrack.io.groups import UNLABELLED, GroupLabels
@@ -134,8 +134,12 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
     chosen = times[np.linspace(0, len(times) - 1, min(len(times), _FRAMES)).round().astype(int)].tolist()
     if _stand(people, label, labelled & np.isin(t, chosen), parameters):
         near = np.abs(people.t[:, None] - np.array(chosen)).min(axis=1) <= _ABOUT + TIME_TOLERANCE
-        label_near = label[near[people.frame_of]]
-        shown = [_frames(people_of(hide(track) for track in tracks), near) for hide in _HIDDEN]
+        everybody = with_absent(people)
+        label_near = np.full(len(everybody), UNLABELLED)
+        label_near[everybody.age == 0.0] = label
+        label_near = label_near[near[everybody.frame_of]]
+        all_shown = (with_absent(people_of(hide(track) for track in tracks)) for hide in _HIDDEN)
+        shown = [_frames(one, near) for one in all_shown]
         begin = np.log([getattr(parameters, name) for name in _PRIOR])
         spread = np.array(list(_PRIOR.values()))
 
@@ -206,7 +210,10 @@ def _frames(people: People, chosen: BoolArray) -> People:
         people.t[chosen],
         first,
         people.person[rows],
-        *(values[rows] for values in (people.position, people.velocity, people.body, people.head)),
+        *(
+            values[rows]
+            for values in (people.position, people.velocity, people.body, people.head, people.age)
+        ),
     )
 
 
@@ -248,7 +255,7 @@ def _rows(people: People) -> tuple[IntArray, FloatArray, IntArray]:
 
 
 def _scored(people: People, parameters: GroupParameters, label: IntArray) -> GroupScore:
-    found = groups_of(people, parameters, pair_evidence(people, parameters))
+    found = groups_of_present(people, parameters)
     return score_groups(found.frame, found.track_id, found.group, label)
 
 

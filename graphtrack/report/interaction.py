@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.forecasting.recorded import Forecasts, read_forecasts
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.interaction.attention import Attention
+from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.interaction.attention import Attention, frame_seconds
 from graphtrack.interaction.groups import Groups
-from graphtrack.interaction.people import Place, read_places
+from graphtrack.interaction.people import HELD, Place, interpolated, read_places
 from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.tracks.track import TrackSet
 
@@ -182,7 +182,7 @@ class GroupSpan:
     kind : index in `graphtrack.interaction.groups.KINDS`, most frequent over its time
     start, end : seconds
     members : ids of all members over time, longest membership first
-    smallest, largest, mean : number of simultaneous members
+    smallest, largest, mean : number of simultaneous members, who may have missing rows up to `HELD`
     person_seconds : sum over its members
     probability : mean over members and frames
     """
@@ -207,7 +207,10 @@ def group_spans(groups: Groups) -> list[GroupSpan]:
     for number, rows in rows_of_each(groups.group):
         if number < 0:
             continue
-        t, size = np.unique(groups.t[rows], return_counts=True)
+        t = np.unique(groups.t[rows])
+        members = rows_of_each(groups.track_id[rows])
+        size = np.sum([_is_there(groups.t[rows[mine]], t) for _, mine in members], axis=0)
+        seconds = frame_seconds(t) if len(t) > 1 else np.array([frame])
         people, frames = np.unique(groups.track_id[rows], return_counts=True)
         sure = groups.probability[rows]
         found.append(
@@ -220,11 +223,17 @@ def group_spans(groups: Groups) -> list[GroupSpan]:
                 smallest=int(size.min()),
                 largest=int(size.max()),
                 mean=float(size.mean()),
-                person_seconds=float(len(rows) * frame),
+                person_seconds=float(np.sum(size * seconds)),
                 probability=float(np.nanmean(sure)) if np.isfinite(sure).any() else float("nan"),
             )
         )
     return found
+
+
+def _is_there(known: FloatArray, t: FloatArray) -> BoolArray:
+    """Return True at the times (m,) of a member's rows (n,), and between rows at most `HELD` apart."""
+    _, since, until = interpolated(known, known[:, None], t, online=False)
+    return np.asarray(since + until <= HELD)
 
 
 def by_main_group(groups: Groups | None, people: tuple[int, ...]) -> list[int]:

@@ -353,12 +353,13 @@ class Live:
         estimates = {number: estimate for number, (_, estimate, _) in found.items()}
         groups = online.update(t, estimates)
         gaze = attention.update(t, estimates, groups)
-        members: dict[str, list[str]] = {}
-        for one, group in zip(groups.track_id.tolist(), groups.group.tolist(), strict=True):
-            if group >= 0:
-                members.setdefault(str(group), []).append(found[one][0])
+        names = {number: name for name, (number, _) in self._named.items()}
+        members = {
+            str(group): [names.get(one, str(one)) for one in sorted(of_group)]
+            for group, of_group in online.members.items()
+        }
         gazes = [
-            (found[one][0], found[int(target)][0])
+            (found[one][0], names.get(int(target), str(target)))
             for one, found_targets in gaze.by_person().items()
             for kind, target, p in found_targets
             if kind == "person" and target is not None and p >= _GAZE_FROM

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.attention import Attention, LookSummary, frame_seconds
 from graphtrack.interaction.groups import Groups
-from graphtrack.interaction.people import Place
+from graphtrack.interaction.people import HELD, Place, interpolated
 from graphtrack.report.interaction import GroupSpan
 from graphtrack.report.lives import finite_rows
 from graphtrack.report.style import (
@@ -228,9 +228,13 @@ def _aims(
         for k, (kind, name) in enumerate(one.targets[:-1]):
             if kind == "person":
                 other = tracks.by_id(int(name))
-                _, mine, theirs = np.intersect1d(one.frame, other.frame, return_indices=True)
-                points.append(other.position[theirs])
-                weights.append(one.probability[mine, k] * seconds[mine])
+                known = finite_rows(other.position)
+                if not known.any():
+                    continue
+                place, since, until = interpolated(other.t[known], other.position[known], one.t, online=False)
+                points.append(place)
+                near = np.minimum(since, until) < HELD
+                weights.append(np.where(near, one.probability[:, k] * seconds, 0.0))
             elif name in at:
                 points.append(np.tile(at[name], (len(one.frame), 1)))
                 weights.append(one.probability[:, k] * seconds)
