@@ -344,13 +344,13 @@ class OnlineSmoother:
         steps = self._smoother.steps
         times = [step.observation.t for step in steps]
         if observation.t < times[0]:
-            return self._unchanged(observation, "too-late")
+            return self.unchanged(observation, "too-late")
         place = int(np.searchsorted(times, observation.t))
         inserted = times[place] != observation.t
         if not inserted:
             added = merged(steps[place].observation, observation)
             if added is None:
-                return self._unchanged(observation, "duplicate")
+                return self.unchanged(observation, "duplicate")
             observation = added
         try:
             template = Step(self._next_index, observation, camera=self.camera)
@@ -392,7 +392,7 @@ class OnlineSmoother:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         involved = [*(step.observation for step in self._smoother.steps), observation]
         reason = with_extreme_of(reason, involved, self.model)
-        return replace(self._unchanged(observation, "failed"), reason=reason)
+        return replace(self.unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
         none, nan = np.full(2, np.nan), math.nan
@@ -400,7 +400,8 @@ class OnlineSmoother:
             observation.t, observation.frame, none, none, nan, nan, np.full((6, 6), nan), "waiting"
         )
 
-    def _unchanged(self, observation: Observation, status: Status) -> Estimate:
+    def unchanged(self, observation: Observation, status: Status) -> Estimate:
+        """Return the last estimate, with a status, for an observation that is not used."""
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)

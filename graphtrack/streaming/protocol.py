@@ -62,7 +62,7 @@ class Answering:
     Parameters
     ----------
     fps : frames a second, for rows without a time
-    note : called once with each unknown key
+    note : called with a sentence on each unknown key and on jumps of the time
     known : keys that are read in addition to those of the native table
 
     Attributes
@@ -73,7 +73,7 @@ class Answering:
     """
 
     def __init__(self, fps: float | None, note: Callable[[str], None], known: Collection[str] = ()) -> None:
-        self.fps, self._unknown_keys = fps, UnknownKeys(note, known)
+        self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known)
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda key: None
@@ -90,6 +90,13 @@ class Answering:
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input."""
         raise NotImplementedError
+
+    def shared_state(self) -> dict[str, Any]:
+        """Return the part of the state that belongs to no member, as JSON-able data."""
+        return {}
+
+    def restore_shared(self, state: Mapping[str, Any]) -> None:
+        """Take over a `shared_state`."""
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """Return the answers to a line of input."""

@@ -37,7 +37,7 @@ from graphtrack.model import Model
 from graphtrack.saved import count, damaged
 from graphtrack.streaming.protocol import Answering
 
-VERSION = 4
+VERSION = 5
 """Version of the format and of the meaning of its lines."""
 
 _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
@@ -454,6 +454,7 @@ class Saving:
         with self._naming_the_file():
             header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
+            people.restore_shared(header["shared"])
             first_row = 1 + header["people"]
             for entry in entries[1:first_row]:
                 track_id, state = _member_of(entry)
@@ -525,6 +526,7 @@ class Saving:
                 "rows": people.rows,
                 "line": people.line,
                 "people": len(self._members),
+                "shared": people.shared_state(),
             }
         )
         self._file.mark()
