@@ -283,7 +283,7 @@ def serve(
     max_rate: Annotated[float, typer.Option(min=1.0)] = 5000.0,
     max_line: Annotated[int, typer.Option(min=256, max=1048576)] = 1 << 16,
     forget_after: Annotated[float, typer.Option(metavar="SECONDS", min=1.0)] = 60.0,
-    patience: Annotated[float, typer.Option(min=1.0)] = 30.0,
+    patience: Annotated[float, typer.Option(metavar="SECONDS", min=1.0, max=86400.0)] = 30.0,
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics.
 
@@ -314,7 +314,8 @@ def serve(
     max_rate : Most rows a second of a stream; faster clients are throttled.
     max_line : Most bytes of a message.
     forget_after : As in graphtrack track.
-    patience : Seconds that answers may stay unread, or pings unanswered.
+    patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
+        stream's process (at least 10), which is killed then.
     """
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import check_lag, online_engine

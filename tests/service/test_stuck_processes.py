@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from serving import everything, rows, serving, wait_until
-from test_service import processes_of
+from serving import everything, processes_of, rows, serving, wait_until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 

@@ -13,8 +13,10 @@ from command import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import graphtrack as gt
 from graphtrack.forecasting import paths
 from graphtrack.interaction.people import Place
+from graphtrack.io.formats.ndjson import NOT_USED
 from graphtrack.model import Model
 from graphtrack.streaming import answers as of_streams
 from graphtrack.streaming.answers import Asked, StreamBounds, TrackAnswers
@@ -297,3 +299,15 @@ def test_the_command_says_that_a_stream_begins_again(cwd: Path) -> None:
     done = run("track", "-", "--model", "position", program="graphtrack", rows=rows)
     assert done.returncode == 0
     assert "note: time jumped from 200.4 s to 0 s: the stream begins again" in done.stderr
+
+
+@kinds
+def test_answers_to_unconfirmed_rows_are_no_rows_of_a_table(identified: bool, cwd: Path) -> None:
+    usual = walkers(10, identified)
+    strange = {**usual[7], "t": 1e9} | ({"track_id": 99} if identified else {})
+    for name, rows in (("usual", usual), ("strange", [*usual[:7], strange, *usual[7:]])):
+        done = run("track", "-", "--model", "position", program="graphtrack", rows=rows)
+        (cwd / f"{name}.ndjson").write_text(done.stdout)
+    one, other = (gt.read(f"{name}.ndjson") for name in ("usual", "strange"))
+    assert one.to_table().equals(other.to_table())
+    assert other.summary.refused.get(NOT_USED, 0) == int(identified)
