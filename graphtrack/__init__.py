@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
-    from graphtrack.evaluation.metrics import StateScore, score_states
+    from graphtrack.evaluation.state_score import StateScore, score_states
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
@@ -106,7 +106,7 @@ _HOMES = {
     "errors": "GraphtrackError InputError InputWarning SolveError",
     "evaluation.compare": "Comparison compare",
     "evaluation.identities": "SequenceScore TrackingScore score",
-    "evaluation.metrics": "StateScore score_states",
+    "evaluation.state_score": "StateScore score_states",
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",

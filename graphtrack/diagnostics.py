@@ -26,8 +26,11 @@ from graphtrack.geometry.angles import (
     von_mises_log_density,
     wrap,
 )
+from graphtrack.model.given import notes_on
 from graphtrack.model.parameters import Parameters, range_of
 from graphtrack.packages import special
+from graphtrack.tracks.given import with_position_noise
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, observed_angle
 
 if TYPE_CHECKING:
@@ -374,13 +377,13 @@ def offset_of(track: Track, name: str) -> float:
         return math.nan
     t, position = track.t[place], track.position[place]
     at = track.t[observed]
-    before = np.clip(np.searchsorted(t, at - 0.5 * BASE), 0, len(t) - 1)
-    after = np.clip(np.searchsorted(t, at + 0.5 * BASE), 0, len(t) - 1)
+    before = np.clip(np.searchsorted(t, at - 0.5 * BASE - TIME_TOLERANCE), 0, len(t) - 1)
+    after = np.clip(np.searchsorted(t, at + 0.5 * BASE - TIME_TOLERANCE), 0, len(t) - 1)
     # The interval is centred on the frame, so that turns within it average out.
     apart, seconds = position[after] - position[before], t[after] - t[before]
     off_centre = np.abs(0.5 * (t[after] + t[before]) - at)
-    moves = (np.linalg.norm(apart, axis=1) > MOVING * seconds) & (seconds >= 0.5 * BASE)
-    moves &= off_centre <= 0.25 * np.maximum(seconds, BASE)
+    moves = (np.linalg.norm(apart, axis=1) > MOVING * seconds) & (seconds >= 0.5 * BASE - TIME_TOLERANCE)
+    moves &= off_centre <= 0.25 * np.maximum(seconds, BASE) + TIME_TOLERANCE
     if moves.sum() < FEWEST_FOR_BIAS:
         return math.nan
     offsets = angle[observed][moves] - np.arctan2(apart[moves, 1], apart[moves, 0])
@@ -499,15 +502,20 @@ class Noise:
 
 
 def trusted(tracks: TrackSet, model: Model, trust: Trust) -> tuple[TrackSet, Model, list[str]]:
-    """Return tracks and model to solve, and remarks on the noise; raise InputError for an unknown `Trust`."""
+    """Return tracks and model to solve, and notes on the noise and on channels that the model does not use.
+
+    Raise InputError for an unknown `Trust`.
+    """
     if trust not in ("declared", "check", "learn"):
         raise InputError(f"trust {trust!r}", "declared, check or learn")
+    notes = notes_on(tracks.tracks, model, tracks.camera)
+    tracks = tracks.map(with_position_noise)
     if trust == "declared":
-        return tracks, model, []
+        return tracks, model, notes
     noise = declared_noise(tracks.tracks, model)
     if trust == "check":
-        return tracks, model, noise.lines()
-    return *noise.corrected(tracks, model), noise.lines(corrected=True)
+        return tracks, model, [*notes, *noise.lines()]
+    return *noise.corrected(tracks, model), [*notes, *noise.lines(corrected=True)]
 
 
 _DECLARED = {"position": ("position_std", 1.0), "body": ("body_kappa", -2.0), "head": ("head_kappa", -2.0)}

@@ -60,9 +60,18 @@ class InputError(GraphtrackError):
         if self.line is not None:
             place.append(f"line {self.line}")
         if self.column is not None:
-            place.append(f"column {self.column}")
+            place.append(f"column {_cut(str(self.column))}")
         where = ", ".join(place)
-        return f"{where + ': ' if where else ''}found {self.found}, expected {self.expected}"
+        return f"{where + ': ' if where else ''}found {_cut(self.found)}, expected {_cut(self.expected)}"
+
+
+_LONGEST = 1000  # characters of a part of a message; files may hold names of any length
+
+
+def _cut(text: str) -> str:
+    """Return a text without the middle of a very long one."""
+    half = _LONGEST // 2
+    return text if len(text) <= _LONGEST else f"{text[:half]} … {text[-half:]}"
 
 
 class UnknownTrackError(InputError, KeyError):

@@ -32,7 +32,7 @@ from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     engine_of,
-    make_all_ready,
+    rehearsals,
 )
 from graphtrack.inference.offline import solve_each
 from graphtrack.inference.online import OnlineSmoother
@@ -40,13 +40,16 @@ from graphtrack.inference.state import Estimate, as_track
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
+from graphtrack.model.given import notes_on
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
 from graphtrack.tracks.gaps import at_times, filled, with_times_at
-from graphtrack.tracks.scene import GivenScene
+from graphtrack.tracks.given import with_position_noise
+from graphtrack.tracks.scene import GivenScene, known_values
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -112,6 +115,7 @@ def solve_tracks(
 
     ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
     """
+    tracks = tracks.map(with_position_noise)
     if walkable is not None:
         plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options)
         return solve_inside(
@@ -288,15 +292,26 @@ def track_online(
     if not isinstance(tracks, Track) or reading:
         scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
         options["camera"] = scene.camera if camera is None else camera
+        scene = _noted(scene, chosen, options["camera"])
         if chosen.has_groups and lacks_groups(scene):
             return _in_step(scene, chosen, options, progress)
         return scene.map(lambda one: _by_itself(one, chosen, options, progress))
-    return _by_itself(tracks, Model.named(model), options, progress)
+    chosen = Model.named(model)
+    (track,) = _noted(TrackSet((tracks,)), chosen, camera)
+    return _by_itself(track, chosen, options, progress)
+
+
+def _noted(tracks: TrackSet, model: Model, camera: GroundCamera | None) -> TrackSet:
+    """Return tracks with the noise of their positions; warn of channels that the model does not use."""
+    for line in notes_on(tracks.tracks, model, camera):
+        warnings.warn(line, InputWarning, stacklevel=3)
+    return tracks.map(with_position_noise)
 
 
 def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
     smoother = OnlineSmoother(model, **options)
-    found = [smoother.update(observation) for observation in observations(track)]
+    usable = map(smoother.usable, observations(track))
+    found = [smoother.update_together([smoother], [one])[0] for one in usable]
     progress(len(track))
     return as_track(track, found, model)
 
@@ -309,21 +324,32 @@ def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Pr
     observed = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
     for (_, place), observation in sorted(observed, key=itemgetter(0)):
         track_id = scene.tracks[place].track_id
-        estimate = people[place].update(conversations.observed(track_id, observation))
+        observation = people[place].usable(conversations.observed(track_id, observation))
+        (estimate,) = OnlineSmoother.update_together([people[place]], [observation])
         conversations.estimated(track_id, estimate)
         found[place].append(estimate)
         progress(1)
     return scene.with_tracks(map(partial(as_track, model=model), scene, found))
 
 
+_SMOOTHING = ("smooth", "solve")
+_TRACKING = ("OnlineSmoother", "track_online")
+_DETECTIONS = ("OnlineTracker",)
+_BEHAVIOUR = ("groups", "OnlineGroups", "attention", "OnlineAttention", "forecast", "Forecaster")
+WARMED = (*_SMOOTHING, *_TRACKING, *_DETECTIONS, "associate", *_BEHAVIOUR)
+"""Functions and classes that `warm_up` takes by name."""
+
+
 def warm_up(
     model: Model | str | Path | None = None,
     engine: OnlineEngine | Literal["gtsam"] = "auto",
+    functions: str | Sequence[str] | None = None,
     *,
     behaviour: bool = False,
     large: bool = False,
+    walkable: bool = False,
 ) -> None:
-    """Compile, or load from disk, the kernels for smoothing and tracking with a model and an engine.
+    """Compile, or load from disk, all that the first calls of functions and classes would wait for.
 
     Without it the first call waits: half a second for loading or, once on a machine, about
     half a minute for compiling. The log ("graphtrack") then has a warning before and after, which Python
@@ -332,15 +358,44 @@ def warm_up(
     Parameters
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
-    behaviour : include kernels of groups, attention and forecasts
+    functions : names of those to be called: ``smooth`` (also ``solve``), ``OnlineSmoother``
+        (``track_online``), ``OnlineTracker``, ``associate``, ``groups`` (``OnlineGroups``), ``attention``
+        (``OnlineAttention``), ``forecast`` (``Forecaster``); None: the first four
+    behaviour : include groups, attention and forecasts
     large : include kernels that solve many tracks in lanes, where the model has them; they are used from
         `engine.LARGE` person-frames
-    """
-    if behaviour:
-        from graphtrack.interaction.attention import make_behaviour_ready
+    walkable : include kernels of walls, for a walkable area
 
-        make_behaviour_ready(forecasts=True)
-    make_all_ready(Model.named(model), engine, large=large)
+    Raises
+    ------
+    InputError
+        For a name that is none of these.
+    """
+    from graphtrack.association import offline as association
+    from graphtrack.forecasting import forecaster
+    from graphtrack.interaction import attention, groups
+
+    chosen = Model.named(model)
+    named = [functions] if isinstance(functions, str) else functions
+    wanted = {*_SMOOTHING, *_TRACKING, *_DETECTIONS, "associate"} if named is None else set(named)
+    for one in sorted(wanted - set(WARMED)):
+        raise InputError(f"the function {one!r}", f"one of {', '.join(WARMED)}")
+    wanted |= set(_BEHAVIOUR) if behaviour else set()
+    of_tracks = not wanted.isdisjoint((*_SMOOTHING, *_TRACKING, *_DETECTIONS))
+    found: list[Rehearsal] = []
+    for each in (chosen, chosen.with_terms(StaysInside)) if walkable else (chosen,):
+        offline = not wanted.isdisjoint(_SMOOTHING)
+        online = not wanted.isdisjoint((*_TRACKING, *_DETECTIONS))
+        found += rehearsals(each, engine, offline=offline, online=online, large=large)
+    if not wanted.isdisjoint((*_SMOOTHING, *_DETECTIONS, "associate")):
+        found.append(association.REHEARSAL)
+    if (chosen.has_groups and of_tracks) or not wanted.isdisjoint(_BEHAVIOUR[:4]):
+        found.append(groups.REHEARSAL)
+    if not wanted.isdisjoint(_BEHAVIOUR[2:4]):
+        found.append(attention.REHEARSAL)
+    if not wanted.isdisjoint((*_DETECTIONS, *_BEHAVIOUR[4:])):
+        found.append(forecaster.REHEARSAL)
+    make_ready("what was asked for" if named is None else ", ".join(named), *found)
 
 
 _UNASKED = 1500  # frames that are kept until the first forecast
@@ -398,9 +453,16 @@ class OnlineTracker(DetectionTracker):
             groups=self._conversations,
             walkable=area,
         )
+        self._scene = known_values(scene)
         self._forecaster: Forecaster | None = None
         self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
         self._present: list[int] = []
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by `state`, with what it leaves out."""
+        made = partial(OnlineTracker.from_state, model=self.model, scene=self._scene, **self._options)
+        left_out = {name: getattr(self, name) for name in ("_frames", "_present", "revised", "newest")}
+        return made, (self.state(),), left_out
 
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]

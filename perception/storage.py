@@ -8,7 +8,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import struct
 import zipfile
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
@@ -23,8 +25,14 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
+from graphtrack.io.limits import MemoryLimit
 
 _CARD = "card"
+_DAMAGES = (
+    *(KeyError, IndexError, TypeError, ValueError, ArithmeticError, RecursionError, MemoryError),
+    *(OSError, EOFError, NotImplementedError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile),
+)
+"""Exceptions that a damaged model file raises."""
 
 
 @dataclass(frozen=True)
@@ -83,16 +91,42 @@ def load_model(path: str | Path, kind: str | None = None) -> tuple[ModelCard, di
     """
     expected = "a model file (.npz) of this program"
     try:
+        with zipfile.ZipFile(path) as packed:
+            size = sum(entry.file_size for entry in packed.infolist())
+        MemoryLimit(Path(path), Path(path).stat().st_size).check(size, "arrays")
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         card = ModelCard(**json.loads(str(arrays.pop(_CARD))))
+        _check_card(card)
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError("no such file", expected, path=path) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except (*_DAMAGES, AttributeError) as error:
         raise InputError("something else", expected, path=path) from error
     if kind is not None and card.kind != kind:
         raise InputError(f"a model of kind {card.kind!r}", f"kind {kind!r}", path=path)
     return card, arrays
+
+
+def _check_card(card: ModelCard) -> None:
+    """Raise TypeError or ValueError for fields of other types, and for parameters of many levels."""
+    for one in (card.kind, card.trained_on, card.fails_when):
+        if not isinstance(one, str):
+            raise TypeError("a text that is none")
+    if not isinstance(card.images, int) or not isinstance(card.parameters, dict):
+        raise TypeError("other types than those of a card")
+    for value in card.figures.values():
+        float(value)
+    _check_levels(card.parameters)
+
+
+def _check_levels(value: object, most: int = 20) -> None:
+    """Raise ValueError for lists and dictionaries within each other on more levels."""
+    if most == 0:
+        raise ValueError("brackets within brackets")
+    for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_levels(one, most - 1)
 
 
 class Stored(ABC):
@@ -141,7 +175,7 @@ class Stored(ABC):
         card, arrays = load_model(path, cls.kind)
         try:
             return cls.restored(card, arrays)
-        except (KeyError, TypeError, ValueError) as error:
+        except _DAMAGES as error:
             raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
 
 

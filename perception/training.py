@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -16,8 +14,11 @@ from scipy.special import log_softmax, logsumexp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.io.text import parse_number
-from perception.images.pixels import Image, as_uint8, enlarged, grey, grey_stack, intersection_over_union
+from graphtrack.io.source import Source
+from graphtrack.io.text import csv_records, parse_number
+from graphtrack.tracks.display import shortened
+from perception.images.frames import read_image
+from perception.images.pixels import Image, enlarged, grey, grey_stack, intersection_over_union
 from perception.models import CLASSIFIERS, NAMES, model_path
 from perception.pose.body import BodyPose
 from perception.pose.classes import TILT_EDGE, PoseClasses
@@ -357,27 +358,21 @@ def read_labelled(
         With the line of the first unusable row.
     """
     images, values = [], []
-    with Path(labels).open(encoding="utf-8-sig", newline="") as stream:
-        reader = csv.DictReader(stream)
-        missing = [name for name in ("image", *columns) if name not in (reader.fieldnames or [])]
-        if missing:
-            raise InputError("no such column", f"a column {missing[0]}", path=labels, column=missing[0])
-        for row in reader:
-            numbers = [parse_number(row[name] or "") for name in columns]
-            for name, number in zip(columns, numbers, strict=True):
-                if number is None:
-                    line = reader.line_num
-                    raise InputError(repr(row[name]), "a number", path=labels, line=line, column=name)
-            image = cv2.imread(str(Path(folder) / row["image"]), cv2.IMREAD_UNCHANGED)
-            if image is None:
-                raise InputError(
-                    f"image {row['image']!r}, which cannot be read",
-                    f"an image in {folder}",
-                    path=labels,
-                    line=reader.line_num,
-                )
-            images.append(as_uint8(np.asarray(image)))
-            values.append(numbers)
+    header, rows = csv_records(Source.open(labels))
+    missing = [name for name in ("image", *columns) if name not in header]
+    if missing:
+        raise InputError("no such column", f"a column {missing[0]}", path=labels, column=missing[0])
+    for line, row in rows:
+        numbers = [parse_number(row[name]) for name in columns]
+        for name, number in zip(columns, numbers, strict=True):
+            if number is None:
+                raise InputError(shortened(row[name]), "a number", path=labels, line=line, column=name)
+        image = read_image(Path(folder) / row["image"])
+        if image is None:
+            found = f"image {shortened(row['image'])}, which cannot be read"
+            raise InputError(found, f"an image in {folder}", path=labels, line=line)
+        images.append(image)
+        values.append(numbers)
     if not images:
         raise InputError("no rows", "at least one image", path=labels)
     return images, np.array(values, float)

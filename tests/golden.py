@@ -90,8 +90,7 @@ def answers() -> Iterator[tuple[str, np.ndarray]]:
     for preset in PRESETS:
         for k, track in enumerate(walks()[:5:2]):
             found = solve(TrackSet((track,)), Model(preset), engine="gtsam")[0]
-            if not isinstance(found, Solution):  # nothing holds a body that is not observed
-                continue
+            assert isinstance(found, Solution), (preset, found)
             for channel, values in numbers_of(found.track).items():
                 yield f"gtsam/{preset}/{k}/{channel}", values
             engines: tuple[OnlineEngine, ...] = ("isam2", "fixed-lag")
@@ -107,6 +106,9 @@ def compare(path: str) -> int:
     with np.load(path) as before:
         left = set(before.files)
         for name, values in answers():
+            if name not in left:
+                print(f"{name}: new")
+                continue
             left.discard(name)
             way, _, _, channel = name.split("/")
             turned = channel in ("body", "head")

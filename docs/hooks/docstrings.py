@@ -21,13 +21,27 @@ class SayingParameters(griffe.Extension):
 
 
 def described(text: str) -> str:
-    """A docstring in numpydoc's form, with a description and no type for each parameter."""
-    lines, section = [], ""
-    before = ""
-    for line in text.splitlines():
+    """Return a docstring in numpydoc's form, with an entry for each parameter: a description, and no type.
+
+    Names that share a description get an entry each, since griffe would give all the first one's type and
+    default.
+    """
+    found: list[str] = []
+    names: list[str] = []  # of the entry that is being read
+    description: list[str] = []
+    section = before = ""
+    for line in [*text.splitlines(), ""]:
+        if names and not line.startswith(" "):
+            found += [part for name in names for part in (name, *description)]
+            names, description = [], []
         if line and set(line) == {"-"}:
             section = before
         matched = NAMED.fullmatch(line) if section in SECTIONS else None
-        lines += [matched["names"], f"    {matched['text']}"] if matched else [line]
+        if matched:
+            names, description = matched["names"].split(", "), [f"    {matched['text']}"]
+        elif names:
+            description.append(line)
+        else:
+            found.append(line)
         before = line
-    return "\n".join(lines)
+    return "\n".join(found[:-1])

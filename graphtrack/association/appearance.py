@@ -16,6 +16,7 @@ from graphtrack.association.likelihood import Chains, IntArray, Scene
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import csgraph, optimize, sparse, spatial
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LEAST = 1e-12  # least squared distance; smaller values are clipped
 _STEEPEST = 5.0  # 1-σ of the prior of the slope; learned slopes are near 4
@@ -187,7 +188,7 @@ def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray
     """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame."""
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     earlier = chains.preceding[later]
-    near = chains.t[later] - chains.t[earlier] <= _TAUGHT_SECONDS
+    near = chains.t[later] - chains.t[earlier] <= _TAUGHT_SECONDS + TIME_TOLERANCE
     pairs = []
     for shift in (1, 2, 3):
         first = np.arange(max(len(identity) - shift, 0))

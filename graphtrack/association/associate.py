@@ -25,9 +25,12 @@ from graphtrack.io.read_write import (
 )
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
-from graphtrack.tracks.gaps import with_rows
+from graphtrack.tracks.display import listed
+from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
+from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:
@@ -79,6 +82,9 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     from graphtrack.association.offline import associate_detections  # SciPy takes long to load
 
     found = associate_detections(detections, scene)
+    replaced = [name for name in ("identity_p", "observed") if name in rows.channels]
+    if replaced := [*replaced, *["label"] * bool(rows.labels)]:
+        rows = rows.with_notes(f"association replaces {listed(replaced)}")
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
@@ -129,6 +135,9 @@ def usable(rows: Rows) -> Rows:
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
     if not len(rows):
         return rows
+    noise = position_noise(rows.channels.get("position_std"), rows.channels.get("covariance"))
+    if noise is not None and noise is not rows.channels.get("position_std"):
+        rows = rows.with_channels(position_std=noise).with_notes(AXES)
     _check_times(rows)
     labelled = np.column_stack([rows.frame, rows.channels["position"]])
     _, first = np.unique(labelled, axis=0, return_index=True)
@@ -138,21 +147,21 @@ def usable(rows: Rows) -> Rows:
 def _check_times(rows: Rows) -> None:
     t = rows.channels["t"]
     frame, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
-    other = np.flatnonzero(t != t[first][place])
+    other = np.flatnonzero(np.abs(t - t[first][place]) > TIME_TOLERANCE)
     if len(other):
         i = int(other[0])
         raise InputError(
-            f"frame {rows.frame[i]} at t = {t[i]:g}",
-            f"t = {t[first][place[i]]:g}, as in its other rows",
+            f"frame {rows.frame[i]} at t = {t[i]:.15g}",
+            f"t = {t[first][place[i]]:.15g}, as in its other rows",
             path=rows.path,
             line=rows.line_of(i),
         )
-    back = np.flatnonzero(np.diff(t[first]) <= 0.0)
+    back = np.flatnonzero(np.diff(t[first]) <= TIME_TOLERANCE)
     if len(back):
         i = int(first[back[0] + 1])
         raise InputError(
-            f"frame {rows.frame[i]} at t = {t[i]:g}",
-            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:g}",
+            f"frame {rows.frame[i]} at t = {t[i]:.15g}",
+            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:.15g}",
             path=rows.path,
             line=rows.line_of(i),
         )
@@ -162,7 +171,9 @@ def detections_of(rows: Rows) -> tuple[Rows, Detections]:
     """The usable rows, and their channels that the evidence reads."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
-    return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+    _, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
+    t = rows.channels["t"][first][place]  # of its frame: rounding must not change the order within it
+    return rows, Detections(rows.frame, t, rows.channels["position"], channels)
 
 
 def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:
@@ -178,7 +189,8 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
 def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
     # A gap of two steps holds one frame without a detection.
-    short = np.diff(track.t) - np.diff(t).min() <= longest * (1.0 + 1e-9)
+    short = np.diff(track.t) - np.diff(t).min() <= longest + TIME_TOLERANCE
+    short &= np.diff(track.frame) <= FASTEST * usual_rate([(frames, t)]) * np.diff(track.t)
     gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
     # Frames without any detection are missing from the recording: they are inserted a step apart.
     between = [np.arange(a, b, step) for a, b in gaps]

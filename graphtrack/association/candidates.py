@@ -34,6 +34,7 @@ from graphtrack.association.likelihood import (
 from graphtrack.association.matching import Edges
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 Flags = NDArray[np.bool_]
 
@@ -135,11 +136,11 @@ def near_detections(
     detections, grid : the columns, and the grid of some of them
     bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
-    count = 0
+    count, longest = 0, scene.longest_gap + TIME_TOLERANCE
     for g in range(len(grid.shape)):
         spans, shape = grid.spans[g], grid.shape[g]
-        soon, latest = max(spans[0] - t, 0.0), min(spans[1] - t, scene.longest_gap)
-        if not shape[0] or latest <= 0.0 or soon > scene.longest_gap:
+        soon, latest = max(spans[0] - t, 0.0), min(spans[1] - t, longest)
+        if not shape[0] or latest <= 0.0 or soon > longest:
             continue
         least = spread_after(soon, state, spans[3], scene) if state[5] >= 0.0 else spans[3]
         bound = bounds[g] + missed(shape[3] - frame - 1, scene) - math.log(2.0 * math.pi * least)
@@ -161,7 +162,7 @@ def near_detections(
             for j in grid.order[grid.start[column + first_y] : grid.start[column + end_y]]:
                 other = chains.rows[detections[j]]
                 dt = other.t - t
-                if 0.0 < dt <= scene.longest_gap and is_within(state, dt, other, scene):
+                if 0.0 < dt <= longest and is_within(state, dt, other, scene):
                     found[count] = j
                     count += 1
     return count

@@ -25,6 +25,7 @@ from graphtrack.association.likelihood import (
 from graphtrack.association.matching import Edges, match
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled, processors
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 WORTHLESS = -10.0
 """Gain below that of the best for the same detection below which a candidate's probability is taken as 0."""
@@ -92,14 +93,14 @@ def window(chains: Chains, first: int, scene: Scene) -> tuple[int, int]:
     begin, behind = 0, first
     while begin < behind:
         middle = (begin + behind) // 2
-        if chains.rows[middle].t < now - scene.longest_gap:
+        if chains.rows[middle].t < now - scene.longest_gap - TIME_TOLERANCE:
             begin = middle + 1
         else:
             behind = middle
     end, behind = first, len(chains.rows)
     while end < behind:
         middle = (end + behind) // 2
-        if chains.rows[middle].t <= now + scene.longest_gap:
+        if chains.rows[middle].t <= now + scene.longest_gap + TIME_TOLERANCE:
             end = middle + 1
         else:
             behind = middle

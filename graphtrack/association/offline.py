@@ -18,8 +18,10 @@ from graphtrack.association.appearance import AppearanceEvidence, ScoreRatio, co
 from graphtrack.association.likelihood import (
     Scene,
     chains_of,
+    count_up,
     learn_orientation,
     link_by,
+    missed,
     remember_rest,
 )
 from graphtrack.association.moves import WORTHLESS, Moves
@@ -31,6 +33,7 @@ from graphtrack.association.scene import (
     own_rates,
 )
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 
@@ -73,6 +76,7 @@ def associate_detections(
     start : initial parameters; None: a guess from the number of detections
     rounds : alternations of association and parameter learning
     """
+    make_association_ready()
     search = _Search(detections, known_values(scene), start)
     for k in range(rounds):
         if k:
@@ -104,6 +108,7 @@ def repair_detections(
         No detection is false: each keeps the identity that most of its track had, or gets a new identity
         where another track has more of that.
     """
+    make_association_ready()
     search = _Search(detections, known_values(scene))
     search.begin_with(given)
     for _ in range(ROUNDS):
@@ -244,3 +249,21 @@ class _Search(Moves):
         _, value = self.roots()
         probability = np.where(self.chains.preceding < 0, 1.0, self.link_p)
         return Association(identity, probability, self.scene, float(value[value > 0.0].sum()))
+
+
+def make_association_ready() -> None:
+    """Compile or load the functions that associate detections; the log reports a long wait."""
+    make_ready("data association", REHEARSAL)
+
+
+def _rehearse() -> None:
+    """Associate the detections of two people, and call what the online association alone calls."""
+    frame = np.repeat(np.arange(12), 2)
+    position = np.column_stack([0.1 * frame, np.tile([0.0, 3.0], 12)])
+    detections = Detections(frame, np.asarray(0.1 * frame, float), position)
+    associate_detections(detections)
+    count_up(chains_of(detections), np.zeros(len(frame), np.int64))
+    missed(1, Scene(*SceneParameters().packed(0.1)))
+
+
+REHEARSAL = Rehearsal("association", _rehearse, 20.0)

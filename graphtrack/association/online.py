@@ -28,6 +28,7 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.moves import Moves
+from graphtrack.association.offline import make_association_ready
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -44,6 +45,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import OtherSettings, Saved
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 NOBODY = -1
 
@@ -169,8 +171,9 @@ _LEAST_VALUE = float(np.log(REPORTED_FROM / (1.0 - REPORTED_FROM)))  # the same 
 REVISED_FRAMES = 8
 """Frames of the revision window: enough detections to decide their identities."""
 
-AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
-"""Least seconds between frames → ages of the frames that are decided again; fewer at high frame rates."""
+AGES = {0.09: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
+"""Least seconds between frames → ages of the frames that are decided again; fewer at high frame rates. The
+limit is at no usual rate, so that rounded times do not change sides."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +226,7 @@ class OnlineAssociation(Moves, Saved):
     def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
         if not lag > 0.0:
             raise InputError(f"lag = {lag}", "a positive number of seconds")
+        make_association_ready()
         self.known, self.lag = known_values(scene), lag
         self.scene = SceneParameters(**self.known)
         empty, none = np.zeros(0), np.zeros(0, np.int64)
@@ -374,9 +378,9 @@ class OnlineAssociation(Moves, Saved):
 
     def check_time(self, t: float) -> None:
         """Raise InputError unless a frame at a time (seconds) is valid."""
-        if not np.isfinite(t) or not t > self._last:
-            after = "a time in seconds" + (f" after {self._last:g}" if self.updates else "")
-            raise InputError(f"t = {t:g}", after)
+        if not np.isfinite(t) or not t > self._last + TIME_TOLERANCE:
+            after = "a time in seconds" + (f" after {self._last:.15g}" if self.updates else "")
+            raise InputError(f"t = {t:.15g}", after)
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -399,7 +403,8 @@ class OnlineAssociation(Moves, Saved):
     def _forget(self, t: float) -> None:
         """Finalise frames that leave the revision window; keep detections that may be continued."""
         chains = self.chains
-        kept = [k for k in self._first if chains.t[k] >= t - self.lag][-(REVISED_FRAMES - 1) :]
+        oldest = t - self.lag - TIME_TOLERANCE
+        kept = [k for k in self._first if chains.t[k] >= oldest][-(REVISED_FRAMES - 1) :]
         settled = kept[0] if kept else len(chains.t)
         open_before = self._first[0] if self._first else len(chains.t)
         if settled == open_before:
@@ -411,7 +416,8 @@ class OnlineAssociation(Moves, Saved):
         following = chains.following[:settled]
         # A track of too low a value is not continued after a gap.
         lost = (following < 0) & (value[root[:settled]] > 0.0)
-        heads = (lost & (chains.t[:settled] >= t - self.scene.longest_gap)) | (following >= settled)
+        earliest = t - self.scene.longest_gap - TIME_TOLERANCE
+        heads = (lost & (chains.t[:settled] >= earliest)) | (following >= settled)
         remain = np.concatenate([np.flatnonzero(heads), np.arange(settled, len(chains.t))])
         # A track's number and length pass to the detections that remain of it.
         self._notes.number[:settled] = number[:settled]

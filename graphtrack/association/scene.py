@@ -2,12 +2,13 @@
 
 Rates of misses, occlusions, duplicates, births, deaths and clutter, and the motion. Births, deaths and
 clutter also have maps over the ground plane: events are counted on a grid, blurred, and divided by the counts
-expected under uniform rates.
+expected under uniform rates. The grid lies as the detections do, whatever the axes of the coordinates.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -113,10 +114,29 @@ def edge_of(frames: int) -> int:
     return min(_EDGE, frames // 4)
 
 
-def area(position: FloatArray) -> float:
-    """Area in m² of the box around nearly all detections, (n, 2) metres."""
-    low, high = np.quantile(position, [0.005, 0.995], axis=0)
-    return float(max(np.prod(high - low), 1.0))
+_TURNS = 9  # directions in each of the two rounds of the search for the smallest box
+
+
+def smallest_box(position: FloatArray) -> tuple[FloatArray, float]:
+    """Axes (2, 2), a unit vector a row, and area in m² of the smallest box around nearly all detections.
+
+    The directions that are tried follow from the detections (n, 2), metres: first from their principal axis
+    on, then around the best. Rotations, translations and reflections of the ground change nothing.
+    """
+    x, y = (position - position.mean(axis=0)).T
+    around, step = 0.5 * float(np.arctan2(2.0 * (x @ y), x @ x - y @ y)), 0.5 * np.pi / _TURNS
+    tried = around + step * np.arange(_TURNS)
+    for _ in range(2):
+        boxes = [_box(position, angle) for angle in tried.tolist()]
+        axes, square = min(boxes, key=itemgetter(1))
+        tried = np.arctan2(axes[0, 1], axes[0, 0]) + step / _TURNS * np.arange(1 - _TURNS, _TURNS)
+    return axes, square
+
+
+def _box(position: FloatArray, angle: float) -> tuple[FloatArray, float]:
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    low, high = np.quantile(position @ axes.T, [0.005, 0.995], axis=0)
+    return axes, float(max(np.prod(high - low), 1.0))
 
 
 def first_guess(detections: Detections) -> SceneParameters:
@@ -124,7 +144,7 @@ def first_guess(detections: Detections) -> SceneParameters:
     start = SceneParameters()
     frames = detections.step[-1] + 1
     each = len(detections) / frames
-    square = area(detections.position)
+    _, square = smallest_box(detections.position)
     seconds = detections.step_seconds
     # One detection in ten is false; people stay for about ten seconds.
     return replace(
@@ -228,7 +248,7 @@ class _Events:
         """Count them in linked chains, with the identities (n,); −1: false."""
         person = identity >= 0
         gaps = gaps_of(chains, identity)
-        frames, square = int(chains.frame[-1]) + 1, area(chains.position)
+        frames, (_, square) = int(chains.frame[-1]) + 1, smallest_box(chains.position)
         people, detected = int(identity.max()) + 1, int(person.sum())
         first, last = np.full(people, frames), np.zeros(people, np.int64)
         np.minimum.at(first, identity[person], chains.frame[person])
@@ -310,12 +330,14 @@ class GroundRates:
 
     Attributes
     ----------
-    origin : (2,) metres, of the grid's first corner
+    axes : (2, 2) unit vectors along the grid, one a row
+    origin : (2,) metres along these, of the grid's first corner
     births, deaths, clutter : (2, nx, ny) events per square metre, observed, and expected under uniform
         rates
     ways_out : the deaths, at the positions `AHEAD` seconds after the last detection
     """
 
+    axes: FloatArray
     origin: FloatArray
     births: FloatArray
     deaths: FloatArray
@@ -340,7 +362,7 @@ class GroundRates:
 
     def _in_cells(self, position: FloatArray) -> FloatArray:
         """(2, n) fractional indices of the grids' corners, of positions (n, 2)."""
-        cells: FloatArray = ((position - self.origin) / _CELL).T
+        cells: FloatArray = ((position @ self.axes.T - self.origin) / _CELL).T
         return cells
 
 
@@ -360,20 +382,28 @@ def learn_ground_rates(chains: Chains, identity: IntArray) -> GroundRates:
 
 
 def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> GroundRates:
-    position, goal = chains.position, chains.position + AHEAD * chains.state[:, 2:4]
-    low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
-    shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
+    axes, square = smallest_box(chains.position)
+    position, ahead = chains.position @ axes.T, AHEAD * chains.state[:, 2:4] @ axes.T
+    goal = position + ahead
+    # The same grid from either end of an axis.
+    middle, half = 0.5 * (position.min(axis=0) + position.max(axis=0)), 0.5 * np.ptp(position, axis=0)
+    cells = np.minimum(np.ceil((half + _REACH) / _CELL).astype(int), _LARGEST // 2)
+    low, shape = middle - cells * _CELL, 2 * cells + 1
 
     def blurred(positions: FloatArray, weight: float = 1.0) -> FloatArray:
-        counts = np.zeros(shape)
-        cell = np.clip(np.rint((positions - low) / _CELL).astype(int), 0, shape - 1)
-        np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
+        # Shared among the four corners around, so that no position is at the edge of a cell.
+        place = np.clip((positions - low) / _CELL, 0.0, shape - 1.0)
+        corner = np.minimum(place.astype(int), shape - 2)
+        share, counts = place - corner, np.zeros(shape)
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            of_corner = np.abs(1 - i - share[:, 0]) * np.abs(1 - j - share[:, 1])
+            np.add.at(counts, (corner[:, 0] + i, corner[:, 1] + j), weight * of_corner)
         return ndimage.gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
-    square = area(position)
     # Deaths are exposed where people are; births and clutter everywhere.
     each = len(last) / max(int(person.sum()), 1)
     return GroundRates(
+        axes,
         low,
         np.stack([blurred(position[first]), np.full(shape, len(first) / square)]),
         np.stack([blurred(position[last]), blurred(position[person], each)]),

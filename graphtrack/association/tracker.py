@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ import numpy as np
 from graphtrack.association.associate import usable
 from graphtrack.association.likelihood import observed_angles
 from graphtrack.association.online import NOBODY, Decision, OnlineAssociation, Revision
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import WalkableArea
@@ -25,12 +26,16 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track, checked, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
+from graphtrack.model.given import never_used
 from graphtrack.model.observation import CHANNELS, observation_at
+from graphtrack.model.same_time import SAME_TIME
 from graphtrack.model.terms.conversation import Group, with_group_at
 from graphtrack.saved import Saved, integer
+from graphtrack.tracks.display import listed
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows
+from graphtrack.tracks.time import distinct_times
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import APPEARANCE, INPUT
 
@@ -86,6 +91,9 @@ _VALUES_OF_OBSERVATION = attrgetter(*_OBSERVATION)
 _STD, _SCORE, _INPUTS = map(_OBSERVATION.index, ("position_std", "score", "inputs"))
 _VALUES_OF_ESTIMATE = attrgetter(*Estimate.__dataclass_fields__)
 
+
+_EVIDENCE = ("score", "body", "head", "body_likelihood", "head_likelihood")
+"""Channels that association reads, whatever the model."""
 
 Key = tuple[int, int]
 """The number of an update, and the index of a detection in it."""
@@ -158,6 +166,8 @@ class DetectionTracker(Saved):
         self._observations: dict[Key, Observation] = {}
         self.revised: tuple[Revision, ...] = ()
         self.newest: list[Observation] = []
+        # Channels of detections of which `update` warns once.
+        self.unused = tuple(one for one in never_used(self.model, camera) if one not in _EVIDENCE)
 
     def __len__(self) -> int:
         """The tracked people."""
@@ -177,17 +187,18 @@ class DetectionTracker(Saved):
         """Add a frame's detections; return the estimates of all present people, in the order of track ids.
 
         People without a detection who more probably were missed than left are reported too. Raise
-        InputError if time does not increase, a detection has no position or cannot be used, or an appearance
-        descriptor has another size than before. The state is then unchanged.
+        InputError if time does not increase, a detection has another time or no position, or cannot be used,
+        or an appearance descriptor has another size than before. The state is then unchanged.
 
         Parameters
         ----------
         t : seconds, after those of the previous update; any step
-        detections : observations, whose own times are not read, or positions (n, 2) in metres; may be empty.
-            Their appearance is their input ``appearance``, of one size in all frames
+        detections : observations of that time, or positions (n, 2) in metres; may be empty. Their appearance
+            is their input ``appearance``, of one size in all frames
         """
         given = detections.tolist() if isinstance(detections, np.ndarray) else detections
         observations = [self.on_the_ground(one, t) for one in given]
+        self._note_unused(observations)
         position = np.array([one.position for one in observations], float).reshape(-1, 2)
         descriptors = descriptors_of(observations, self.descriptor_size)
         std, score = (
@@ -213,6 +224,14 @@ class DetectionTracker(Saved):
             for one in people:
                 self._groups.estimated(one.track_id, one)
         return people
+
+    def _note_unused(self, detections: Sequence[Observation]) -> None:
+        for name in self.unused:
+            if any(getattr(one, name) is not None for one in detections):
+                self.unused = tuple(one for one in self.unused if one != name)
+                warnings.warn(
+                    f"not used by the model {self.model.preset!r}: {name}", InputWarning, stacklevel=3
+                )
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
@@ -343,9 +362,17 @@ class DetectionTracker(Saved):
         Raise InputError if it has none at all, or cannot be used.
         """
         if not isinstance(detection, Observation):
-            x, y = map(float, detection)
+            try:
+                x, y = map(float, detection)
+            except (TypeError, ValueError):
+                found = f"a detection {' '.join(repr(detection).split())[:60]}"
+                expected = "x and y in metres, or an Observation with what else is known"
+                raise InputError(found, expected) from None
             detection = Observation(t=t, position=(x, y))
         elif detection.t != t:
+            if not abs(detection.t - t) < SAME_TIME:
+                found = f"a detection of t = {detection.t:.12g} in the update of t = {t:.12g}"
+                raise InputError(found, "detections of that time, each time in an update of its own")
             detection = replace(detection, t=t)
         if detection.position is None and detection.pixel is not None and self._camera is not None:
             x, y = self._camera.image_to_ground(np.array(detection.pixel)).tolist()
@@ -384,16 +411,19 @@ def track_rows(
     """
     rows = usable(rows)
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
+    unused, tracker.unused = [name for name in tracker.unused if name in channels], ()
+    if unused:
+        rows = rows.with_notes(f"not used by the model {tracker.model.preset!r}: {listed(unused)}")
     given = [name for name in rows.channels if name.startswith(INPUT)]
     inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}
-    times = rows.channels["t"]
-    order = np.lexsort((np.arange(len(rows)), times))
-    starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
+    times, place = distinct_times(rows.channels["t"])
+    order = np.argsort(place, kind="stable")
+    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
     estimates: dict[int, list[tuple[int, PersonEstimate]]] = {}
     revised = 0
-    for group in np.split(order, starts[1:]):
-        rows_of_frame, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
+    for t, group in zip(times.tolist(), np.split(order, starts[1:]), strict=True):
+        rows_of_frame, frame = group.tolist(), int(rows.frame[group[0]])
         observations = [observation_at(k, t, frame, channels, inputs) for k in rows_of_frame]
         for person in tracker.update(t, observations):
             estimates.setdefault(person.track_id, []).append((frame, person))

@@ -17,6 +17,7 @@ from graphtrack.baselines.kalman import constant_velocity, full_covariance, pred
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections, with_those_between
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_numbers, number
 
@@ -121,7 +122,7 @@ class HungarianTracker:
         new = np.flatnonzero(track_of < 0)
         identity[new] = self._begin(t, position[new], variance[new])
         self._t = t
-        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
+        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + TIME_TOLERANCE)
         return Reported(
             identity,
             self._identity[shown],
@@ -158,7 +159,7 @@ class HungarianTracker:
         """Tracks (m,) that a detection at time t could be of."""
         confirmed = self._identity >= 0
         # Rounding must not end a gap that is just as long as allowed.
-        recent = t - self._last <= self.parameters.longest_gap + 1e-9
+        recent = t - self._last <= self.parameters.longest_gap + TIME_TOLERANCE
         hopeful = self._age - self._hits <= self.parameters.frames - self.parameters.hits
         return np.where(confirmed, recent, hopeful)
 

@@ -31,6 +31,7 @@ from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.terms.motion import HEAD_RATE, head_rates, steered_step
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, observed_angle
 
 Variant = Literal["printed", "consistent"]
@@ -300,7 +301,7 @@ def mean_deviation(track: Track, seconds: float) -> FloatArray:
     head = observed_angle(track, "head")
     n, observed = len(track), np.asarray(np.isfinite(track.position).all(axis=1))
     # Frames in (t − seconds, t], with a margin for times that are not a step apart to the last bit.
-    begins = np.searchsorted(track.t, track.t - seconds + 1e-6, side="right")
+    begins = np.searchsorted(track.t, track.t - seconds + TIME_TOLERANCE, side="right")
     deviation = np.zeros(n)
     for k in range(n):
         rows = begins[k] + np.flatnonzero(observed[begins[k] : k + 1])

@@ -48,7 +48,6 @@ def groups(
     parameters : Output of 'graphtrack fit --groups' (.toml).
     online : Use only the past of each frame, as in a live scene.
     """
-    from graphtrack.interaction.attention import make_behaviour_ready
     from graphtrack.interaction.groups import groups as find
     from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.interaction.scores import score_groups
@@ -63,8 +62,8 @@ def groups(
     chosen = None if parameters is None else GroupParameters.load(parameters)
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
-    make_behaviour_ready()
-    found = find(tracks, chosen, online=online)
+    with input_warnings_as_notes():
+        found = find(tracks, chosen, online=online)
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
     write_table(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
@@ -146,7 +145,6 @@ def attention(
     from graphtrack.interaction.attention import (
         AttentionParameters,
         attention_columns,
-        make_behaviour_ready,
         summary_of,
     )
     from graphtrack.interaction.attention import attention as find
@@ -170,8 +168,8 @@ def attention(
     chosen = None if parameters is None else AttentionParameters.load(parameters)
     labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
-    make_behaviour_ready()
-    found = find(tracks, known, chosen, online=online)
+    with input_warnings_as_notes():
+        found = find(tracks, known, chosen, online=online)
     score = None if labels is None else score_gaze(found, labels)
     columns = attention_columns(found)
     write_table(with_names(columns, tracks.as_read), output)
@@ -219,17 +217,18 @@ def forecast(
     )
     check_table_name(output)
     tracks = reading.tracks(inputs)
-    found = forecast_tracks(
-        tracks,
-        horizon=horizon,
-        step=step,
-        every=every,
-        history=history,
-        samples=samples,
-        parameters=parameters,
-        seed=seed,
-        walkable=walkable,
-    )
+    with input_warnings_as_notes():
+        found = forecast_tracks(
+            tracks,
+            horizon=horizon,
+            step=step,
+            every=every,
+            history=history,
+            samples=samples,
+            parameters=parameters,
+            seed=seed,
+            walkable=walkable,
+        )
     write_table(with_names(found.columns, tracks.as_read), output)
     if found.too_short:
         needed = "two frames" if history is None else f"{history:g} s"

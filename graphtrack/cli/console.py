@@ -8,11 +8,13 @@ import json
 import logging
 import re
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import category
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -32,17 +34,22 @@ if TYPE_CHECKING:
 _CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Escape sequences such as colours and movements (CSI), and all control characters except the line feed."""
 
+_JOINERS = "\u200c\u200d"  # within words of some scripts, and emoji
+
 
 def printable(text: str, *, one_line: bool = False) -> str:
     """Return a text without escape sequences and control characters; invalid characters become ?.
 
-    Names and labels come from files, and must not control the terminal.
+    Names and labels come from files, and must not control the terminal. Characters without a shape of their
+    own, such as those that reverse the direction of writing, are left out too.
 
     Parameters
     ----------
     one_line : replace line feeds by spaces
     """
     text = _CONTROL.sub("", text.replace("\t", " ")).encode(errors="replace").decode()
+    if not text.isascii():
+        text = "".join(one for one in text if one in _JOINERS or category(one) not in ("Cf", "Zl", "Zp"))
     return " ".join(text.splitlines()) if one_line else text
 
 
@@ -104,12 +111,19 @@ def fail(message: str) -> None:
     raise SystemExit(BAD_INPUT)
 
 
+_REPORTED_AFTER = 20.0  # seconds between lines of progress without a terminal
+
+
 @contextmanager
 def progress_bar(total: int | None, unit: str = "person-frames") -> Iterator[Callable[..., None]]:
-    """Show a progress bar on standard error; yield the function that advances it.
+    """Show a progress bar on standard error, or lines where that is no terminal.
 
-    It takes the number of steps done since the last call, and the total where that was not known.
+    Yields the function that advances it: it takes the number of steps done since the last call, and the total
+    where that was not known.
     """
+    if not console.is_terminal:
+        yield _progress_lines(total, unit)
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -117,11 +131,23 @@ def progress_bar(total: int | None, unit: str = "person-frames") -> Iterator[Cal
         TextColumn(unit),
         TimeRemainingColumn(),
     )
-    # Without a terminal nothing is drawn, not even the empty line that a bar leaves behind.
-    hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("", total=total)
         yield lambda count, total=None: progress.update(task, advance=count, total=total)
+
+
+def _progress_lines(total: int | None, unit: str) -> Callable[..., None]:
+    """Return a function that advances progress, and reports it in a line if that takes long."""
+    done, all_of_it, reported = 0, total, time.monotonic()
+
+    def advance(count: int, total: int | None = None) -> None:
+        nonlocal done, all_of_it, reported
+        done, all_of_it = done + count, all_of_it if total is None else total
+        if time.monotonic() - reported >= _REPORTED_AFTER:
+            reported = time.monotonic()
+            emit(f"{done:,}{'' if all_of_it is None else f' of {all_of_it:,}'} {unit} …")
+
+    return advance
 
 
 class _Printed(logging.Handler):
@@ -170,12 +196,15 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
-def write_tracks(tracks: TrackSet, output: Path) -> None:
-    """Write tracks in the format given by the file name, and print the writer's notes."""
+def write_tracks(tracks: TrackSet, output: Path, *, spreadsheet: bool = False) -> None:
+    """Write tracks in the format given by the file name, and print the writer's notes.
+
+    ``spreadsheet``: see `graphtrack.write`
+    """
     from graphtrack.io.read_write import write
 
     with input_warnings_as_notes():
-        write(tracks, output)
+        write(tracks, output, spreadsheet=spreadsheet)
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:
@@ -283,15 +312,28 @@ def run_app(program: typer.Typer, name: str) -> None:
         fail_usage(error)
     except GraphtrackError as error:
         fail(str(error))
-    except typer.Abort:
-        raise KeyboardInterrupt from None
+    except typer.Abort as error:
+        # Typer raises it for Ctrl-C, and for a file that ends too early.
+        if not isinstance(error.__cause__, EOFError) or _is_interrupt(error):
+            raise KeyboardInterrupt from None
+        _fail_with(error.__cause__)
     except Exception as error:
         if _is_interrupt(error):
             raise KeyboardInterrupt from None
-        if not isinstance(error, ERRORS):
-            raise
-        place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
-        fail(f"{place}{described(error)}")
+        _fail_with(error)
+
+
+def _fail_with(error: Exception) -> None:
+    """Exit with one line for an error of a file or of the machine; raise any other."""
+    compilation = sys.modules.get("graphtrack.kernels.compilation")
+    if compilation is not None and compilation.is_of_kept_code(error):
+        folder = compilation.machine_code_folder()
+        compilation.discard()
+        fail(f"machine code in {folder} cannot be used ({described(error)}) and was deleted; run it again")
+    if not isinstance(error, ERRORS):
+        raise error
+    place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+    fail(f"{place}{described(error)}")
 
 
 def _is_interrupt(error: BaseException | None) -> bool:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_table, printable, write_json, write_tracks
@@ -80,10 +82,12 @@ def _speeds(track: Track) -> Any:
     """
     import numpy as np
 
+    from graphtrack.tracks.time import TIME_TOLERANCE
+
     has_position = np.isfinite(track.position).all(axis=1)
     t, position = track.t[has_position] - track.t[0], track.position[has_position]
-    begin = np.searchsorted(t, t - _WINDOW - 1e-6)
-    end = np.searchsorted(t, t + _WINDOW + 1e-6)
+    begin = np.searchsorted(t, t - _WINDOW - TIME_TOLERANCE)
+    end = np.searchsorted(t, t + _WINDOW + TIME_TOLERANCE)
     columns = np.column_stack([np.ones(len(t)), t, t * t, position, t[:, None] * position])
     sums = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
     n, first, second, x, y, tx, ty = (sums[end] - sums[begin]).T
@@ -136,11 +140,21 @@ def formats() -> None:
     print_table("Formats", rows)
 
 
-def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
-    """Write tracks unchanged in another format, given by the ending of the output."""
+def convert(
+    inputs: options.Inputs,
+    output: options.Output,
+    reading: options.CameraReading,
+    spreadsheet: Annotated[bool, typer.Option("--spreadsheet")] = False,
+) -> None:
+    """Write tracks unchanged in another format, given by the ending of the output.
 
+    Parameters
+    ----------
+    spreadsheet : Put an apostrophe before text in CSV that a spreadsheet would run as a formula, such as a
+        label =1+1 of a file from outside.
+    """
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
-    write_tracks(tracks, output)
+    write_tracks(tracks, output, spreadsheet=spreadsheet)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
     emit(f"wrote {output}: {people}, {rows}")

@@ -100,6 +100,8 @@ class Reading:
     fps : Frames a second, if the file has no times.
     format : Force the input's format; see 'graphtrack formats'.
     select : Only tracks whose label or id matches this pattern, such as '*walk*'; repeat for more.
+    max_memory : GiB that the content of a file may take; by default 4, and no more than 200 times the file's
+        size (or 64 MiB), since a small file can unpack to any size.
 
     Tables with other column names and units
     ----------------------------------------
@@ -125,6 +127,7 @@ class Reading:
     fps: float | None = None
     format: str | None = None
     select: Annotated[list[str] | None, typer.Option(metavar="PATTERN")] = None
+    max_memory: Annotated[float | None, typer.Option(metavar="GIB")] = None
     columns: Annotated[str | None, typer.Option(metavar="KEY=NAME,...")] = None
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = None
     units: Literal["m", "cm", "mm", "ft"] | None = None

@@ -113,6 +113,7 @@ def demo(
     out : Folder for the results.
     seconds : Length of the scene.
     """
+    emit(f"simulating a scene of {seconds:g} s")
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
@@ -130,12 +131,13 @@ def demo(
     options.check_outputs({"--out": options.files_in(out, names)}, {"--model": options.model_file(model)})
     chosen = Model.named(model)
     options.make_folder(out)
-    emit(f"{len(observed)} people, {observed.n_frames} person-frames, simulated")
+    emit(f"{len(observed)} people, {observed.n_frames} person-frames, simulated; smoothing")
     write(observed, out / OBSERVATIONS)
     with progress_bar(observed.n_frames) as advance:
         estimates = smooth(observed, chosen, progress=advance)
     write(estimates, out / ESTIMATES)
     methods = ["kf", "chain", "isam2", "rts", "smoother"]
+    emit(f"comparing {', '.join(methods)}")
     with progress_bar(observed.n_frames) as advance:
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)

@@ -18,7 +18,7 @@ from graphtrack.tracks.display import counted
 if TYPE_CHECKING:
     from graphtrack.evaluation.forecasts import ForecastScore
     from graphtrack.evaluation.identities import Pair, Threshold, TrackingScore
-    from graphtrack.evaluation.metrics import StateScore, TrackErrors
+    from graphtrack.evaluation.state_score import Compared, StateScore
     from graphtrack.tracks.table import Rows
     from graphtrack.tracks.track import TrackSet
 
@@ -138,7 +138,7 @@ def score(
         the ground.
     """
     from graphtrack.evaluation.identities import judge, threshold_of
-    from graphtrack.evaluation.metrics import summary
+    from graphtrack.evaluation.state_score import summary
     from graphtrack.io.groups import is_group_table
     from graphtrack.io.read_write import paired_files
 
@@ -161,12 +161,12 @@ def score(
     if report is not None and len(pairs) > 1:
         raise InputError(f"--report of {len(pairs)} sequences", "one sequence: a file and its truth")
     read: list[tuple[TrackSet, TrackSet]] = []
-    errors: list[TrackErrors] = []
+    errors: list[Compared] = []
     found = judge(_read(pairs, reading, threshold, read, errors), threshold)
     print_score(found)
-    states = None if threshold.measure == "iou" else summary(errors)
+    states = None if threshold.measure == "iou" else summary(errors, threshold)
     if states is not None:
-        print_states(states)
+        print_states(states, threshold)
     if report is not None:
         _write_html(report, found, *read[0])
     write_json(json_path, found.to_dict() | ({} if states is None else {"states": states.to_dict()}))
@@ -177,14 +177,14 @@ def _read(
     reading: options.CameraReading,
     threshold: Threshold,
     kept: list[tuple[TrackSet, TrackSet]],
-    errors: list[TrackErrors],
+    errors: list[Compared],
 ) -> Iterator[Pair]:
-    """Read and compare each pair of files, with the errors of the people in both.
+    """Read and compare each pair of files, with the errors of matched people.
 
     The tracks are kept if there is one pair.
     """
     from graphtrack.evaluation.matching import boxes, estimated_detections, true_detections
-    from graphtrack.evaluation.metrics import track_errors
+    from graphtrack.evaluation.state_score import state_errors
 
     if threshold.measure == "iou" and reading.select:
         raise InputError("--select and --iou", "one of them: boxes are compared as the files have them")
@@ -196,7 +196,7 @@ def _read(
             estimated, true = estimated_detections(found), reading.tracks([truth], reference=found)
             if len(pairs) == 1:
                 kept.append((found, true))
-            errors += track_errors(found, true)
+            errors.append(state_errors(found, true, threshold))
             yield name, estimated, true_detections(true)
 
 
@@ -254,7 +254,7 @@ def print_score(found: TrackingScore) -> None:
         emit(f"  note: {note}")
 
 
-def print_states(found: StateScore) -> None:
+def print_states(found: StateScore, threshold: Threshold) -> None:
     """Print errors and interval coverage as a table."""
 
     def shown(row: dict[str, Any]) -> dict[str, object]:
@@ -272,7 +272,7 @@ def print_states(found: StateScore) -> None:
         rows = [shown(row) for row in found.rows]
         headings = dict.fromkeys(name for row in rows for name in row)
         print_table(
-            "Errors of people with the same track_id in both",
+            f"Errors of people matched {threshold}",
             [{name: row.get(name, "–") for name in headings} for row in rows],
         )
     for note in found.notes:

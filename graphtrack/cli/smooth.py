@@ -167,6 +167,11 @@ def smooth(
     batch_frames : Person-frames or detections held at a time when streaming.
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
+    options.check_outputs(
+        {"--output": output, "--report": report},
+        {**reading.inputs(inputs, model), "--walkable": walkable},
+        table=output,
+    )
     from graphtrack.diagnostics import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
@@ -175,11 +180,6 @@ def smooth(
     from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
-    options.check_outputs(
-        {"--output": output, "--report": report},
-        {**reading.inputs(inputs, model), "--walkable": walkable},
-        table=output,
-    )
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
@@ -246,7 +246,7 @@ def smooth(
 
 def _without_gaps(tracks: TrackSet) -> TrackSet:
     """Insert missing frames, and report their number."""
-    from graphtrack.tracks.gaps import LONGEST_FILLED, filled, unfilled_gaps
+    from graphtrack.tracks.gaps import LONGEST_FILLED, filled, gaps_without_time, unfilled_gaps
 
     found = filled(tracks)
     inserted, left = found.n_frames - tracks.n_frames, unfilled_gaps(tracks)
@@ -257,4 +257,6 @@ def _without_gaps(tracks: TrackSet) -> TrackSet:
         emit(f"  note: {verdict}")
     if left:
         emit(f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
+    if odd := gaps_without_time(tracks):
+        emit(f"  note: {counted(odd, 'gap')} not filled, whose frame numbers do not fit the times")
     return found

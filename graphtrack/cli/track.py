@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
+from graphtrack.cli.console import BAD_INPUT, emit, input_warnings_as_notes, progress_bar, write_tracks
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
@@ -65,12 +65,6 @@ def track(
     attention : Report gaze targets: people and --places.
     places : CSV of other gaze targets: name and x, y, radius, or name and polygon (x y x y …).
     """
-    from graphtrack.geometry.walkable import WalkableArea
-    from graphtrack.inference.engines import check_lag, online_engine
-    from graphtrack.inference.online import OnlineSmoother
-    from graphtrack.model import Model
-    from graphtrack.smoothing import track_online
-
     options.check_outputs(
         {"--output": output, "--state": state},
         {
@@ -80,6 +74,11 @@ def track(
         },
         table=output,
     )
+    from graphtrack.inference.engines import check_lag, online_engine
+    from graphtrack.inference.online import OnlineSmoother
+    from graphtrack.model import Model
+    from graphtrack.smoothing import track_online
+
     chosen = Model.named(model)
     kept = _seconds(lag)
     if reading.associate == "repair":
@@ -92,6 +91,7 @@ def track(
         if refused:
             names = ", ".join(map(options.option_name, refused))
             raise InputError(f"{names} with -", "these options with a file only")
+        from graphtrack.geometry.walkable import WalkableArea
         from graphtrack.streaming.answers import StreamBounds
         from graphtrack.streaming.session import Answers
 
@@ -131,7 +131,7 @@ def track(
     tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept, walkable=walkable)  # the first one compiles
     start = time.perf_counter()
-    with progress_bar(tracks.n_frames) as advance:
+    with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
         everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
     seconds = time.perf_counter() - start
     found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]

@@ -15,6 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
 from graphtrack.packages import spatial
 from graphtrack.tracks.gaps import positions_at
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
 SAMPLES = 20
@@ -245,7 +246,7 @@ def _references(
         straight[rows] = _straight_on(t, position, made[rows], ahead)
         alone = Track(one, np.flatnonzero(has_position), t, position)
         states, _ = filter_states(alone, parameters)
-        last = np.clip(np.searchsorted(t, made[rows] + 1e-6) - 1, 0, len(t) - 1)
+        last = np.clip(np.searchsorted(t, made[rows] + TIME_TOLERANCE) - 1, 0, len(t) - 1)
         mean, spread = states.mean[last], states.covariance[last]
         since = (made[rows] - t[last])[:, None] + ahead
         filtered[rows, :, :2] = mean[:, None, :2] + since[..., None] * mean[:, None, 2:]

@@ -278,27 +278,31 @@ class HotaCounts(Summed):
 
 def hota_counts(frames: SharedFrames) -> HotaCounts:
     """Match truth and estimates with consistent identities, and sum the counts for every α."""
-    truth, estimates, similarity = _matches(frames)
-    sums = [_sums(frames, truth, estimates, similarity, alpha) for alpha in ALPHAS]
+    found = hota_matches(frames)
+    truth, estimates = frames.truth[frames.row[found]], frames.estimates[frames.column[found]]
+    sums = [_sums(frames, truth, estimates, frames.similarity[found], alpha) for alpha in ALPHAS]
     matches, *rest = np.array(sums).T
     misses, false_positives = frames.truth_rows.sum() - matches, frames.estimate_rows.sum() - matches
     return HotaCounts(matches, misses, false_positives, *rest)
 
 
-def _matches(frames: SharedFrames) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return true person, track and similarity of all matches at the lowest α, (k,) each.
+def hota_matches(frames: SharedFrames, threshold: float = 0.0) -> IntArray:
+    """Return the indices (k,) of matching pairs; as in TrackEval, one matching serves all α.
 
     In each frame the matching maximises the sum of similarities, each weighted by the alignment of the two
-    over the whole sequence. As in TrackEval, one matching serves all α.
+    over the whole sequence.
+
+    Parameters
+    ----------
+    threshold : minimum similarity of a match
     """
-    worth = _alike(frames) * frames.similarity
+    worth = _alike(frames) * np.where(frames.similarity >= threshold - EPSILON, frames.similarity, 0.0)
     parts = [
         start + matched_in_frame(frames, k, worth[start:end])
         for k, (start, end) in enumerate(pairwise(frames.start.tolist()))
         if end > start
     ]
-    found = np.concatenate([*parts, np.zeros(0, np.int64)])
-    return frames.truth[frames.row[found]], frames.estimates[frames.column[found]], frames.similarity[found]
+    return np.concatenate([*parts, np.zeros(0, np.int64)])
 
 
 def _alike(frames: SharedFrames) -> FloatArray:
@@ -366,11 +370,18 @@ def identity_counts(frames: SharedFrames, threshold: float) -> IdentityCounts:
     ----------
     threshold : minimum similarity of two rows of the same person
     """
-    person, track, common, _ = frames.common((frames.similarity >= threshold).astype(float))
-    paired = int(common[matched_pairs(person, track, common)].sum())
+    *_, common = identity_pairs(frames, threshold)
+    paired = int(common.sum())
     return IdentityCounts(
         paired, int(frames.truth_rows.sum()) - paired, int(frames.estimate_rows.sum()) - paired
     )
+
+
+def identity_pairs(frames: SharedFrames, threshold: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return person, track and shared rows (p,) of the best one-to-one pairing over the whole sequence."""
+    person, track, common, _ = frames.common((frames.similarity >= threshold).astype(float))
+    paired = matched_pairs(person, track, common)
+    return person[paired], track[paired], common[paired]
 
 
 @dataclass(frozen=True)

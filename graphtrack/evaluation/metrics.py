@@ -6,21 +6,15 @@ Intervals are paired bootstraps over people: every method uses the same samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from graphtrack.association.associate import tracks_of
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
-from graphtrack.tracks.track import STATE, Track, TrackSet
-
-if TYPE_CHECKING:
-    from graphtrack.io.read_write import Given
-
+from graphtrack.tracks.track import STATE, Track
 
 Angle = Literal["body", "head"]
 
@@ -208,16 +202,28 @@ def track_calibration(
     velocity : true velocity (n, 2) in m/s; by default `metrics.true_velocity`, the mean over the neighbouring
         frames, which at a low frame rate differs from the instantaneous velocity
     """
-    squared = {
+    squared = squared_errors(estimate, truth, velocity)
+    use = slice(None) if mask is None else mask
+    return calibration_of({quantity: squares[use] for quantity, squares in squared.items()})
+
+
+def squared_errors(
+    estimate: Track, truth: Track, velocity: FloatArray | None = None
+) -> dict[str, FloatArray]:
+    """Return the NEES (n,) of each quantity, NaN where unknown; arguments as `track_calibration`."""
+    return {
         "position": position_nees(estimate, truth),
         "velocity": velocity_nees(estimate, truth, velocity),
         "body": angle_nees(estimate, truth, "body"),
         "head": angle_nees(estimate, truth, "head"),
     }
+
+
+def calibration_of(squared: Mapping[str, FloatArray]) -> dict[str, TrackCalibration]:
+    """Return the calibration of each quantity with a known NEES (n,) of one person."""
     found = {}
     for quantity, squares in squared.items():
-        values = squares if mask is None else squares[mask]
-        values = values[np.isfinite(values)]
+        values = squares[np.isfinite(squares)]
         if values.size:
             degrees = DEGREES[quantity]
             inside = values[:, None] <= chdtri(degrees, 1.0 - np.array(CONFIDENCES))
@@ -263,136 +269,3 @@ def calibration_rows(tracks: Sequence[Mapping[str, TrackCalibration]]) -> Iterat
         known = [track[quantity] for track in tracks if quantity in track]
         if known:
             yield {"quantity": quantity, **pooled(known)}
-
-
-UNITS = {"position": "m", "velocity": "m/s", "body": "°", "head": "°"}
-
-SAME_TIME = 0.1
-"""Largest time difference of estimate and truth, as a share of the truth's median step."""
-
-
-@dataclass(frozen=True)
-class StateScore:
-    """Errors by quantity.
-
-    Attributes
-    ----------
-    rows : for position, velocity, body and head, if both files have them: ``quantity``, ``unit``,
-        ``tracks``, ``frames``; ``rmse``, ``mae`` and ``median`` over the frames, of distances and
-        wrapped angle errors; ``coverage_95``, the share of frames with the truth in the 95 %
-        interval (for positions and velocities the ellipse), mean over the tracks; ``nees`` per degree of
-        freedom, mean over the tracks, and ``nees_low`` and ``nees_high``, its 95 %
-        band if covariances are consistent. None without uncertainty.
-    notes : omitted quantities, with reasons
-    """
-
-    rows: tuple[dict[str, Any], ...]
-    notes: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON-able data."""
-        return {"rows": list(self.rows), "notes": list(self.notes)}
-
-
-@dataclass(frozen=True)
-class TrackErrors:
-    """One person's errors, by quantity: errors (n,) in the units of `UNITS`, and interval coverage."""
-
-    errors: dict[str, FloatArray]
-    calibration: dict[str, TrackCalibration]
-
-
-def score_states(estimates: Given, truth: Given) -> StateScore:
-    """Compute errors of estimated states against the truth, and the calibration of their uncertainties.
-
-    Only people with the same ``track_id`` in both are compared, in frames whose times agree to a tenth of the
-    truth's step.
-
-    Parameters
-    ----------
-    estimates, truth : tracks in any form that `smooth` takes. The truth's true values (``true_x`` …) are
-        used if there are any, else its positions, velocities and angles. Missing velocities are central
-        differences of the true positions.
-    """
-    return summary(track_errors(tracks_of(estimates), tracks_of(truth)))
-
-
-def track_errors(estimates: TrackSet, truth: TrackSet) -> list[TrackErrors]:
-    """Return the errors of each person of the truth with estimates."""
-    known = {track.track_id: track for track in truth}
-    pairs = ((track, known[track.track_id]) for track in estimates if track.track_id in known)
-    return [found for pair in pairs if (found := _errors(*pair)) is not None]
-
-
-def summary(parts: Iterable[TrackErrors]) -> StateScore:
-    """Pool the errors of all people."""
-    tracks = list(parts)
-    if not tracks:
-        return StateScore((), ("errors of the states: no person has the same track_id and times in both",))
-    rows, notes = [], []
-    for quantity, degrees in DEGREES.items():
-        errors = [track.errors[quantity] for track in tracks if quantity in track.errors]
-        if not errors:
-            notes.append(f"{quantity}: not in both estimates and truth")
-            continue
-        every = np.concatenate(errors)
-        row: dict[str, Any] = {
-            "quantity": quantity,
-            "unit": UNITS[quantity],
-            "tracks": len(errors),
-            "frames": len(every),
-            "rmse": float(np.sqrt(np.mean(every**2))),
-            "mae": float(np.mean(np.abs(every))),
-            "median": float(np.median(np.abs(every))),
-        }
-        calibrated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
-        row |= dict.fromkeys(("coverage_95", "nees", "nees_low", "nees_high"))
-        if calibrated:
-            low, high = chi_square_band(degrees, len(calibrated))
-            row |= {name: pooled(calibrated)[name] for name in ("coverage_95", "nees")}
-            row |= {"nees_low": low / degrees, "nees_high": high / degrees}
-        else:
-            notes.append(f"{quantity}: no uncertainty in the estimates; only errors are scored")
-        rows.append(row)
-    return StateScore(tuple(rows), tuple(notes))
-
-
-def _errors(estimate: Track, truth: Track) -> TrackErrors | None:
-    """Return one person's errors; None if no times match."""
-    here, there = _same_times(estimate.t, truth.t)
-    if not len(here):
-        return None
-    velocity = truth.velocity
-    if truth.has_truth or velocity is None:
-        velocity = true_velocity(_as_truth(truth))
-    estimate, truth, velocity = estimate[here], _as_truth(truth)[there], velocity[there]
-    assert truth.true_position is not None
-    errors = {"position": np.linalg.norm(estimate.position - truth.true_position, axis=1)}
-    if estimate.velocity is not None:
-        errors["velocity"] = np.linalg.norm(estimate.velocity - velocity, axis=1)
-    for name in ("body", "head"):
-        angle, known = getattr(estimate, name), getattr(truth, f"true_{name}")
-        if angle is not None and known is not None:
-            errors[name] = np.degrees(difference(angle, known))
-    errors = {name: values[np.isfinite(values)] for name, values in errors.items()}
-    return TrackErrors(
-        {name: values for name, values in errors.items() if len(values)},
-        track_calibration(estimate, truth, velocity=velocity),
-    )
-
-
-def _as_truth(track: Track) -> Track:
-    """Return a track with missing true values filled from its own values."""
-    if track.has_truth:
-        return track
-    return replace(track, true_position=track.position, true_body=track.body, true_head=track.head)
-
-
-def _same_times(t: FloatArray, truth: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return rows of both with matching times; each row of the truth is the nearest in time."""
-    step = float(np.median(np.diff(truth))) if len(truth) > 1 else 1e-3
-    after = np.minimum(np.searchsorted(truth, t), len(truth) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(truth[before] - t) <= np.abs(truth[after] - t), before, after)
-    here = np.flatnonzero(np.abs(truth[nearest] - t) <= SAME_TIME * step)
-    return here, nearest[here]

@@ -16,7 +16,9 @@ from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemo
 from graphtrack.forecasting.spread import LEVELS, Calibration, offsets, radius
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
+from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
@@ -180,6 +182,7 @@ class Forecaster(Saved):
     def __init__(
         self, parameters: ForecastParameters | None = None, walkable: AreaLike | None = None
     ) -> None:
+        make_forecasts_ready()
         self._area = None if walkable is None else WalkableArea.of(walkable)
         self.parameters = ForecastParameters() if parameters is None else parameters
         self._calibration = Calibration(self.parameters)
@@ -253,7 +256,7 @@ class Forecaster(Saved):
         """
         at = np.flatnonzero((self._count >= 2) & (self._last == self.t))
         span = (self._last - self._first)[at] * (self._count[at] / (self._count[at] - 1))
-        return np.sort(self._id[at[span >= history - 1e-6]])
+        return np.sort(self._id[at[span >= history - TIME_TOLERANCE]])
 
     def known(self, track_id: Sequence[int]) -> NDArray[np.int64]:
         """Select people observed at least twice, in the last seconds."""
@@ -355,7 +358,7 @@ class Forecaster(Saved):
 
     def _forget(self, t: float) -> None:
         for one, place in list(self._of.items()):
-            if t - self._last[place] > _FORGOTTEN:
+            if t - self._last[place] > _FORGOTTEN + TIME_TOLERANCE:
                 del self._of[one]
                 self._count[place] = 0
                 self._free.append(place)
@@ -383,7 +386,7 @@ class Forecaster(Saved):
         position, velocity, _ = self._going(at)
         deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
         spread = np.sqrt((along**2 + across**2) / 2)
-        spread[t - self._first[at] < JUDGED] = np.nan
+        spread[t - self._first[at] < JUDGED - TIME_TOLERANCE] = np.nan
         self._paths.add(t, self._number[at], position, velocity, deviation, spread)
 
     def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
@@ -436,3 +439,18 @@ class Forecaster(Saved):
 
 def _plane(points: ComplexArray) -> FloatArray:
     return np.stack([points.real, points.imag], axis=-1)
+
+
+def make_forecasts_ready() -> None:
+    """Compile or load the functions of forecasts; the log reports a long wait."""
+    make_ready("forecasts", REHEARSAL)
+
+
+def _rehearse() -> None:
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
+    forecaster.forecast([0.4])
+
+
+REHEARSAL = Rehearsal("forecasts", _rehearse, 1.0)

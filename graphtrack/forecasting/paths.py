@@ -19,15 +19,14 @@ from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 from graphtrack.saved import Saved, pack, unpack
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LEAST = -25.0
 """Logarithm of the smallest weight; smaller weights are below rounding next to a few people."""
 
 
 @allocating
-def kernel_sums(
-    here: NDArray[np.float32], there: NDArray[np.float32], values: NDArray[np.float32], count: int
-) -> FloatArray:
+def kernel_sums(here: FloatArray, there: FloatArray, values: NDArray[np.float32], count: int) -> FloatArray:
     """Return (n, G) sums of the values at points ``there``, by a Gaussian kernel of width 1 about ``here``.
 
     Parameters
@@ -123,7 +122,7 @@ class PathMemory(Saved):
         self._parameters, self._judge = parameters, judge
         self._random = np.random.default_rng(0)
         self._count = 0
-        self._where = np.zeros((4, _CAPACITY), np.float32)
+        self._where = np.zeros((4, _CAPACITY))  # double: places may be far from the origin
         self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
         self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
         self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
@@ -150,10 +149,11 @@ class PathMemory(Saved):
                 getattr(self, name)[rows] = unpack(state[name], np.ndarray)
         self._where[:, : len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
 
-    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
+    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> FloatArray:
         near, alike = self._parameters.place_distance, self._parameters.place_velocity
-        columns = (position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike)
-        return np.stack(columns).astype(np.float32)
+        return np.stack(
+            [position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike]
+        )
 
     def add(
         self,
@@ -202,7 +202,7 @@ class PathMemory(Saved):
         active, person = active[here], person[here]
         while len(active):
             due = LAGS[self._next[active]] + self._t[active]
-            is_due = due <= t + 1e-6
+            is_due = due <= t + TIME_TOLERANCE
             active, person, due = active[is_due], person[is_due], due[is_due]
             if not len(active):
                 break
@@ -210,12 +210,12 @@ class PathMemory(Saved):
             share = np.clip((due - before[person]) / np.maximum(gap, 1e-9), 0.0, 1.0)
             place = was[person] + share * (position[person] - was[person])
             straight = self._position[active] + LAGS[lag] * self._velocity[active]
-            sure = gap <= _LONGEST_GAP
+            sure = gap <= _LONGEST_GAP + TIME_TOLERANCE
             self._learn(active[sure], lag[sure], (place - straight)[sure])
             self._next[active] += 1
             more = self._next[active] < len(LAGS)
             active, person = active[more], person[more]
-        oldest = t - LAGS[-1] - _LONGEST_GAP
+        oldest = t - LAGS[-1] - _LONGEST_GAP - TIME_TOLERANCE
         open_ = (self._next[self._active] < len(LAGS)) & (self._t[self._active] > oldest)
         self._active = self._active[open_]
 

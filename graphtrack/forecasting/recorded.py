@@ -22,6 +22,8 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file
 from graphtrack.io.source import Source
 from graphtrack.tracks.cells import numbers
+from graphtrack.tracks.given import warn_unused
+from graphtrack.tracks.time import TIME_TOLERANCE, distinct_times
 from graphtrack.tracks.track import STATE, Track, TrackSet
 from graphtrack.tracks.validation import check_positive
 
@@ -82,6 +84,10 @@ class Forecasts:
         write_table(self.columns, path)
 
 
+_USED = ("t", "x", "y", "pos_std", "x_std", "y_std", "head_deg", "observed")
+"""Columns that forecasts are made from."""
+
+
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
     """Return the observed people, time by time; rows without a position are left out."""
     parts: list[tuple[FloatArray, ...]] = []
@@ -101,11 +107,12 @@ def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
     if not parts:
         return
     t, frame, track_ids, x, y, std, head = (np.concatenate(one) for one in zip(*parts, strict=True))
-    order = np.lexsort((track_ids, np.round(t, 6)))
-    edges = np.flatnonzero(np.diff(np.round(t[order], 6), prepend=-np.inf))
-    for rows in np.split(order, edges[1:]) if len(order) else []:
+    times, place = distinct_times(t)
+    order = np.lexsort((track_ids, place))
+    edges = np.flatnonzero(np.diff(place[order], prepend=-1))
+    for at, rows in zip(times.tolist(), np.split(order, edges[1:]) if len(order) else [], strict=True):
         yield PeopleOfFrame(
-            t=float(t[rows[0]]),
+            t=at,
             frame=int(frame[rows[0]]),
             track_id=track_ids[rows].astype(np.int64),
             position=np.stack([x[rows], y[rows]], axis=1),
@@ -152,6 +159,7 @@ def forecast(
     if not 0 <= samples <= 1000:
         raise InputError(f"samples = {samples}", "a number from 0 to 1000")
     tracks = tracks_of(tracks)
+    warn_unused(tracks, _USED, "forecasts")
     if isinstance(parameters, str | Path):
         parameters = ForecastParameters.load(parameters)
     forecaster, random = Forecaster(parameters, walkable), np.random.default_rng(seed)
@@ -159,7 +167,7 @@ def forecast(
     last, rows = -math.inf, 0
     for present in frames_of(tracks):
         forecaster.update(present.t, present.track_id, present.position, present.std, present.head)
-        if every is not None and present.t - last < every - 1e-6:
+        if every is not None and present.t - last < every - TIME_TOLERANCE:
             continue
         last = present.t
         people = forecaster.people(history or 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from hashlib import sha256
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -207,17 +208,30 @@ def _read(path: Path, shapely: Any) -> shapely.Geometry:
             getattr(error, "strerror", None) or "a file that is not text", "a walkable area", path=path
         ) from error
     is_json = text.lstrip().startswith("{")
+    expected = "GeoJSON or well-known text with polygons in metres"
+    if _levels(text) > _MOST_LEVELS:  # GEOS has no limit but the stack, and ends the process
+        raise InputError("brackets within brackets without end", expected, path=path)
     try:
         geometry = shapely.from_geojson(text) if is_json else shapely.from_wkt(text)
-    except shapely.errors.ShapelyError as error:
-        expected = "GeoJSON or well-known text with polygons in metres"
-        raise InputError(str(error).splitlines()[0], expected, path=path) from error
-    polygons = [
-        one
-        for part in shapely.get_parts(geometry)
-        for one in shapely.get_parts(part)
-        if one.geom_type == "Polygon"
-    ]
+        polygons = [
+            one
+            for part in shapely.get_parts(geometry)
+            for one in shapely.get_parts(part)
+            if one.geom_type == "Polygon"
+        ]
+        area = shapely.union_all(polygons)
+    # Curves are no geometries of Shapely.
+    except (shapely.errors.ShapelyError, NotImplementedError, TypeError, ValueError) as error:
+        raise InputError(str(error).splitlines()[0] or "no geometry", expected, path=path) from error
     if not polygons:
         raise InputError("no polygon", "at least one polygon in which people walk", path=path)
-    return shapely.union_all(polygons)
+    return area
+
+
+_MOST_LEVELS = 50
+
+
+def _levels(text: str) -> int:
+    """Return the largest number of brackets that are open at once."""
+    opened = (1 if bracket in "([{" else -1 for bracket in text if bracket in "([{}])")
+    return max(accumulate(opened), default=0)

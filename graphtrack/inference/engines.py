@@ -22,6 +22,7 @@ from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import chain, observations, seconds_between
+from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.tracks.display import counted, html_pairs
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_count, is_number
@@ -185,10 +186,46 @@ def estimated_tracks(
     return found
 
 
+def lost_by_rounding(
+    dt: FloatArray,
+    offsets: NDArray[np.int64],
+    covariance: FloatArray,
+    model: Model,
+    reach: float = 0.0,
+) -> dict[int, str]:
+    """Number of each track whose estimates have an error by rounding above a tenth of their σ → the reason.
+
+    Parameters
+    ----------
+    dt : (N,) seconds since the previous frame of the same track; 0 at its first
+    offsets : (m + 1,) the tracks' first frames, and the end
+    covariance : (N, 6, 6) of the estimates
+    reach : metres from a track's origin, where the engine does not refine its solution: it loses the more
+    """
+    information = 1.0 / model.parameters.motion.acceleration_density
+    variance = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
+    close = np.flatnonzero((dt > 0.0) & (dt < _CLOSE))
+    variance = np.maximum(variance[close], variance[close - 1])
+    lost = rounding(dt[close], information, variance) * np.maximum(1.0, 0.1 * reach / np.sqrt(variance))
+    found: dict[int, str] = {}
+    for place in np.flatnonzero(lost > LARGEST_ROUNDING).tolist():
+        k, q = close[place], 1.0 / information
+        found.setdefault(
+            int(np.searchsorted(offsets, k, side="right")) - 1,
+            f"rounding hides the observations: {dt[k]:.3g} s between two frames, with a 1-σ of "
+            f"{math.sqrt(variance[place]):.2g} m and acceleration_density = {q:g} m²/s³; "
+            "expected longer steps, or another acceleration_density",
+        )
+    return found
+
+
+_CLOSE = 0.05
+"""Seconds between frames, below which rounding is of interest."""
+
 _USUAL = {"position_std": (1e-4, 1e3), "body_kappa": (0.0, 1e6), "head_kappa": (0.0, 1e6)}
 """Values of the channels for which the solvers are well conditioned."""
 
-_SHORTEST, _FARTHEST = 1e-5, 1e6  # Seconds between frames, and metres from the origin, likewise
+_FARTHEST = 1e6  # Metres from the origin, likewise
 
 NOT_FINITE = "the estimate is not finite"
 
@@ -217,12 +254,7 @@ def with_extreme_of(reason: str, observed: Sequence[Observation], model: Model) 
 
 def _extremes(observed: Sequence[Observation], model: Model) -> Iterator[tuple[float, str]]:
     """Yield the factor by which each extreme input exceeds its usual range, and its name."""
-    t = np.array([one.t for one in observed], dtype=float)
-    frame, dt = np.array([one.frame for one in observed]), np.diff(t)
-    if dt.size and 0.0 < dt.min() < _SHORTEST:
-        k = int(dt.argmin())
-        words = f"{dt[k]:.3g} s between the frames {frame[k]} and {frame[k + 1]}"
-        yield _SHORTEST / dt[k], f"{words}, expected at least {_SHORTEST:g} s"
+    frame = np.array([one.frame for one in observed])
     none = math.nan, math.nan
     position = np.array([none if one.position is None else one.position for one in observed])
     yield from _outside(np.abs(position).max(axis=1), frame, (0.0, _FARTHEST), "a coordinate of {} m")
@@ -265,22 +297,28 @@ def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
 OFFLINE = "the offline solver"
 
 
-def make_all_ready(
-    model: Model, engine: OnlineEngine | Literal["gtsam"] = "auto", *, large: bool = False
-) -> None:
-    """Compile, or load, all functions for smoothing and tracking with a model and an engine.
+def rehearsals(
+    model: Model, engine: OnlineEngine | Literal["gtsam"], *, offline: bool, online: bool, large: bool = False
+) -> list[Rehearsal]:
+    """Return the rehearsals of smoothing and tracking with a model and an engine.
 
-    ``large``: also the solver of many tracks in lanes, where the model has it.
+    Parameters
+    ----------
+    engine : "gtsam" has no online solver; "fixed-lag" and "isam2" have no offline solver
+    offline, online : solvers that are wanted
+    large : also the solver of many tracks in lanes, where the model has it
     """
     if not is_chain(model):
-        make_ready(OFFLINE, _graph_rehearsal(None))
-    elif engine == "gtsam":
-        make_solver_ready(model, engine)
-    elif engine in ("fixed-lag", "isam2"):
-        make_online_ready(model, engine)
-    else:
-        ways = (False, True) if large and has_lanes(model) else (False,)
-        make_ready("the solver", *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
+        return [_graph_rehearsal(None)]
+    found: list[Rehearsal] = []
+    ways = (False, True) if large and has_lanes(model) else (False,)
+    if offline and engine == "gtsam":
+        found += _solver_rehearsals(model, "gtsam", None, ways)
+    elif offline and engine in ("auto", "chain"):
+        found += _solver_rehearsals(model, "chain", None, ways)
+    if online and engine != "gtsam":
+        found.append(_online_rehearsal(model) if engine in ("auto", "chain") else _graph_rehearsal(model))
+    return found
 
 
 def make_solver_ready(
@@ -296,11 +334,7 @@ def make_solver_ready(
     ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
     terms.
     """
-    if engine == "chain":
-        make_ready(OFFLINE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
-        return
-    own = has_own_kernels(model) and not model.has_modes
-    make_ready(OFFLINE, _graph_rehearsal(None if own and not complete else model))
+    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete))
 
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:
@@ -315,10 +349,18 @@ def has_own_kernels(model: Model) -> bool:
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
-def _chain_rehearsals(
-    model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
+def _solver_rehearsals(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None,
+    in_lanes: Collection[bool],
+    *,
+    complete: bool = False,
 ) -> list[Rehearsal]:
-    """Return rehearsals of the chain engine: the linear solution for linear models, and Newton's steps."""
+    """Return rehearsals of an offline engine; of chains the linear solution where it holds, else Newton's."""
+    if engine == "gtsam":
+        own = has_own_kernels(model) and not model.has_modes
+        return [_graph_rehearsal(None if own and not complete else model)]
     # Linear with the camera of a scene, where its tracks have no pixels.
     linear, like = model.is_linear(pack([TRACK], model)), _like(model)
     found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.errors import NO_POSITION, SolveError
+from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import fit_lanes, solve_packed
@@ -23,6 +25,7 @@ from graphtrack.inference.engines import (
     SolverOptions,
     engine_of,
     estimated_tracks,
+    lost_by_rounding,
     make_solver_ready,
     not_finite,
 )
@@ -30,6 +33,8 @@ from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.same_time import merged_rows, of_every_row
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count
 
@@ -49,11 +54,46 @@ def solve_each(
 ) -> list[Solution | Failure]:
     """Smooth every track separately with the engine that `engine_of` has chosen for the model.
 
+    Rows of one time (`same_time.SAME_TIME`) have one estimate, of all their observations.
+
     ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
     """
-    options = SolverOptions() if options is None else options
     if jobs is not None:
         check_count("jobs", jobs)
+    rows: dict[int, NDArray[np.int64]] = {}  # number of a track → the frame of each of its rows
+    refused: dict[int, Failure] = {}
+    given: list[Track] = []
+    for m, track in enumerate(tracks):
+        try:
+            found = merged_rows(track, model.parameters.likelihood, tracks.camera)
+        except InputError as error:
+            refused[m] = Failure(track.track_id, str(error))
+            continue
+        if found is not None:
+            track, rows[m] = found
+        given.append(track)
+    options = SolverOptions() if options is None else options
+    solved = iter(_solve_frames(tracks.with_tracks(given), model, engine, jobs, options, progress, n_frames))
+    answers: list[Solution | Failure] = []
+    for m, track in enumerate(tracks):
+        one = refused[m] if m in refused else next(solved)
+        if m in rows and isinstance(one, Solution):
+            one = replace(one, track=of_every_row(one.track, track, rows[m]))
+        answers.append(one)
+    return answers
+
+
+def _solve_frames(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    jobs: int | None,
+    options: SolverOptions,
+    progress: Callable[[int], None] | None,
+    n_frames: int | None,
+) -> list[Solution | Failure]:
+    if not len(tracks):
+        return []
     in_lanes = fit_lanes(tracks.tracks, model, n_frames)
     make_solver_ready(model, engine, tracks.camera, in_lanes)
     if engine == "chain":
@@ -154,14 +194,25 @@ def _solve_chains(
     answers: list[Solution | Failure] = []
     estimates = estimated_tracks(tracks, packed.offsets, found.states, found.covariance, found.modes)
     numbers = [n.tolist() for n in (found.first_cost, found.cost, found.iterations, found.status)]
+    lost = lost_by_rounding(packed.dt, packed.offsets, found.covariance, model, _reach(packed, model))
     for m, (track, first, last, steps, end) in enumerate(zip(tracks, *numbers, strict=True)):
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
         elif end == NOT_FINITE:
             answers.append(Failure(track.track_id, not_finite(track, model)))
+        elif m in lost:
+            answers.append(Failure(track.track_id, lost[m]))
         else:
             answers.append(Solution(estimates[m], first, last, steps, end == CONVERGED, "chain"))
     return answers
+
+
+def _reach(packed: PackedTracks, model: Model) -> float:
+    """Greatest distance from a track's first position, metres, where the linear solution is not refined."""
+    if not model.is_linear(packed):
+        return 0.0
+    origin = np.repeat(packed.origin, np.diff(packed.offsets), axis=0)
+    return float(np.nanmax(np.abs(packed.position - origin), initial=0.0))
 
 
 def _attempt_graph(

@@ -8,16 +8,18 @@ estimate uses earlier observations only.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, wrap, wrapped
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.covariance import calibrate_newest, calibration_of
@@ -40,24 +42,29 @@ from graphtrack.inference.state import (
     Status,
     Window,
     checked,
+    pack_observation,
     pack_state,
     predicted,
+    unpack_observation,
     unpack_state,
 )
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import CHANNELS, seconds_between
+from graphtrack.model.given import never_used
+from graphtrack.model.observation import seconds_between
+from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
-from graphtrack.saved import DAMAGES, damaged
+from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.display import html_pairs
 
+Parts = tuple[Observation, ...]
+"""Observations of one time that are merged in a step."""
 
-def worked_in(window: Window, observation: Observation, place: int, inserted: bool, template: Step) -> Window:
-    """The window with one more observation, in a step like ``template`` or in place of one; linked again."""
+
+def worked_in(window: Window, template: Step, place: int, inserted: bool) -> Window:
+    """The window with a further step, or with a changed one at its place; linked again."""
     states, steps = window.states, list(window.steps[:place])
     if inserted:
-        states = np.insert(states, place, _between(window, place, observation.t), axis=0)
-    else:
-        template = replace(window.steps[place], observation=observation)
+        states = np.insert(states, place, _between(window, place, template.observation.t), axis=0)
     for step in (template, *window.steps[place if inserted else place + 1 :]):
         if steps:
             previous = steps[-1].alone()
@@ -65,18 +72,6 @@ def worked_in(window: Window, observation: Observation, place: int, inserted: bo
             step = replace(step, previous=previous, dt=dt)
         steps.append(step)
     return replace(window, steps=tuple(steps), states=states)
-
-
-def merged(known: Observation, new: Observation) -> Observation | None:
-    """The known observation with the additional channels of the new one; None if there are none."""
-    added: dict[str, Any] = {
-        name: getattr(new, name)
-        for name in CHANNELS
-        if getattr(known, name) is None and getattr(new, name) is not None
-    }
-    if new.inputs.keys() - known.inputs.keys():
-        added["inputs"] = {**new.inputs, **known.inputs}
-    return replace(known, **added) if added else None
 
 
 def _between(window: Window, place: int, t: float) -> FloatArray:
@@ -87,6 +82,25 @@ def _between(window: Window, place: int, t: float) -> FloatArray:
     state = a + share * (b - a)
     state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
     return np.asarray(state)
+
+
+_KNOWN_STD = math.radians(80.0)
+"""1-σ of an orientation up to which its most probable value is reported as it is."""
+_HOLD_SECONDS = 0.2
+"""Seconds in which a reported orientation takes up the share of a change that its evidence has."""
+
+
+def held(angle: float, variance: float, before: float, seconds: float) -> float:
+    """Return the orientation to report, ``seconds`` after ``before``: it turns as evidence permits.
+
+    The most probable value of a nearly uniform density jumps with the noise of the path. The evidence is the
+    share of the uniform density's variance that is gone; at `_KNOWN_STD` and below it is complete.
+    """
+    uniform, known = UNIFORM_STD**2, _KNOWN_STD**2
+    if not variance > known or not math.isfinite(before):
+        return angle
+    left = min((variance - known) / (uniform - known), 1.0) ** (max(seconds, 0.0) / _HOLD_SECONDS)
+    return wrapped(before + (1.0 - left) * wrapped(angle - before))
 
 
 _PROMISED_DECREASE = 1e-8
@@ -160,8 +174,25 @@ class OnlineSmoother:
                 else FixedLag(self.model, self.lag, *ends)
             )
             self._smoother = CouplingModeSmoother(graph, self.model, self.lag, couplings)
+        self._unused = never_used(self.model, camera)
         self._next_index = 0
         self._last: Estimate | None = None
+        # Index of a step → the observations that are merged in it.
+        self._parts: dict[int, Parts] = {}
+        self._again: dict[str, Any] = {
+            "model": chosen,
+            "engine": self.engine,
+            "lag": lag,
+            "camera": camera,
+            "walkable": self._walkable,
+            "relinearize_threshold": relinearize_threshold,
+            "step_tolerance": step_tolerance,
+            "max_iterations": max_iterations,
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by `state`, with what `from_state` says of engines."""
+        return partial(OnlineSmoother.from_state, **self._again), (self.state(),)
 
     def __repr__(self) -> str:
         return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
@@ -185,8 +216,18 @@ class OnlineSmoother:
         InputError
             If a time or value is not a number within bounds. The state is then unchanged.
         """
+        self._note_unused(observation)
         (estimate,) = self.update_together([self], [self.usable(observation)])
         return estimate
+
+    def _note_unused(self, observation: Observation) -> None:
+        """Warn once of each channel that an observation has and the model does not use."""
+        for name in self._unused:
+            if getattr(observation, name, None) is not None:
+                self._unused = tuple(one for one in self._unused if one != name)
+                warnings.warn(
+                    f"not used by the model {self.model.preset!r}: {name}", InputWarning, stacklevel=3
+                )
 
     def usable(self, observation: Observation) -> Observation:
         """Return the checked observation, with the position of its pixel; InputError as `update`."""
@@ -212,7 +253,7 @@ class OnlineSmoother:
             window, before = smoother._smoother, smoother._smoother.steps
             # A window needs no link to its newest step.
             dt = observation.t - before[-1].observation.t if before else 0.0
-            if dt > 0.0 and isinstance(window, ChainWindow):
+            if dt >= SAME_TIME and isinstance(window, ChainWindow):
                 step = Step(smoother._next_index, observation, None, dt, False, smoother.camera)
                 ahead.append((k, window, step))
             else:
@@ -226,7 +267,7 @@ class OnlineSmoother:
         steps = self._smoother.steps
         if not steps and observation.position is None:
             return self._waiting(observation)
-        if not steps or observation.t > steps[-1].observation.t:
+        if not steps or observation.t - steps[-1].observation.t >= SAME_TIME:
             return self._append(observation)
         return self._work_in(observation)
 
@@ -242,21 +283,37 @@ class OnlineSmoother:
         times = (step.observation.t for step in window.steps)
         known = dict(zip(times, window.states, strict=True))
         states = list(window.states[: len(steps)])
-        usable = list(map(self.usable, observations))
-        for observation in _with_walls([self] * len(usable), usable):
-            previous = steps[-1].alone()
-            dt = seconds_between(previous, observation)
-            steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
-            state = states[-1].copy()
-            state[:2] += dt * state[2:4]
-            states.append(known.get(observation.t, state))
-            self._next_index += 1
+        usable, parts = list(map(self.usable, observations)), dict(self._parts)
         latest = steps[-1].observation
         try:
+            if any(one.t >= since for one in parts.get(steps[-1].index, ())):
+                kept = tuple(one for one in parts.pop(steps[-1].index) if one.t < since)
+                steps[-1] = self._with_parts(steps[-1], kept, parts)
+            for observation in _with_walls([self] * len(usable), usable):
+                if observation.t - steps[-1].observation.t < SAME_TIME:
+                    both = (*parts.get(steps[-1].index, (steps[-1].observation,)), observation)
+                    steps[-1] = self._with_parts(steps[-1], both, parts)
+                    continue
+                previous = steps[-1].alone()
+                dt = seconds_between(previous, observation)
+                steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
+                state = states[-1].copy()
+                state[:2] += dt * state[2:4]
+                states.append(known.get(observation.t, state))
+                self._next_index += 1
+            latest = steps[-1].observation
             newest = self._smoother.rework(replace(window, steps=tuple(steps), states=np.array(states)))
         except FAILURES as error:
             return self._failed(latest, error)
+        self._parts = parts
         return self._estimate(newest, latest, "late")
+
+    def _with_parts(self, step: Step, observations: Parts, parts: dict[int, Parts]) -> Step:
+        """Return a step with the product of some observations of its time, which are noted in ``parts``."""
+        if len(observations) > 1:
+            parts[step.index] = observations
+        one = merged(observations, self.model.parameters.likelihood, self.camera)
+        return replace(step, observation=one)
 
     @property
     def last(self) -> Estimate | None:
@@ -282,7 +339,13 @@ class OnlineSmoother:
         """Return a function that computes the present `state` later."""
         smoother = self._smoother
         saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
-        return lambda: pack_state(saved) | {"terms": self._terms()}
+        parts = list(self._parts.items())
+
+        def packed() -> dict[str, Any]:
+            merged_in = [[index, [pack_observation(one) for one in some]] for index, some in parts]
+            return pack_state(saved) | {"terms": self._terms()} | ({"merged": merged_in} if parts else {})
+
+        return packed
 
     @classmethod
     def from_state(
@@ -308,6 +371,10 @@ class OnlineSmoother:
             raise damaged(ValueError(f"an engine {str(saved.engine)[:40]!r}"))
         smoother._last, smoother._next_index = saved.last, saved.next_index
         try:
+            smoother._parts = {
+                integer(index): tuple(map(unpack_observation, some))
+                for index, some in state.get("merged", ())
+            }
             if saved.engine == smoother.engine:
                 smoother._smoother.resume(saved.window, saved.arrays)
             else:
@@ -343,22 +410,29 @@ class OnlineSmoother:
     def _work_in(self, observation: Observation) -> Estimate:
         steps = self._smoother.steps
         times = [step.observation.t for step in steps]
-        if observation.t < times[0]:
-            return self.unchanged(observation, "too-late")
         place = int(np.searchsorted(times, observation.t))
-        inserted = times[place] != observation.t
-        if not inserted:
-            added = merged(steps[place].observation, observation)
-            if added is None:
-                return self.unchanged(observation, "duplicate")
-            observation = added
+        near = [k for k in (place - 1, place) if 0 <= k < len(times)]
+        nearest = min(near, key=lambda k: abs(times[k] - observation.t))
+        inserted = abs(times[nearest] - observation.t) >= SAME_TIME
+        if inserted and place == 0:
+            return self.unchanged(observation, "too-late")
+        parts = dict(self._parts)
         try:
             template = Step(self._next_index, observation, camera=self.camera)
-            window = worked_in(self._smoother.window(), observation, place, inserted, template)
-            newest = self._smoother.rework(window)
+            if not inserted:
+                place, same = nearest, steps[nearest]
+                known = parts.get(same.index, (same.observation,))
+                new = news(known, observation)
+                if new is None:
+                    return self.unchanged(observation, "duplicate")
+                template = self._with_parts(same, (*known, new), parts)
+            window = self._smoother.window()
+            newest = self._smoother.rework(worked_in(window, template, place, inserted))
         except FAILURES as error:
             return self._failed(observation, error)
         self._next_index += inserted
+        left = {step.index for step in self._smoother.steps}
+        self._parts = {index: one for index, one in parts.items() if index in left}
         return self._estimate(newest, self._smoother.steps[-1].observation, "late")
 
     # -- estimates -----------------------------------------------------------------------------------------
@@ -372,6 +446,9 @@ class OnlineSmoother:
             age = observation.t - first.observation.t if first.starts else math.inf
             calibrate_newest(covariance[None], state[None], 0, age, calibration_of(self.model.parameters))
         body, head = map(wrapped, state[4:].tolist())
+        if (last := self._last) is not None:
+            seconds, (of_body, of_head) = observation.t - last.t, np.diagonal(covariance)[4:].tolist()
+            body, head = held(body, of_body, last.body, seconds), held(head, of_head, last.head, seconds)
         aligned, offset, glance = getattr(smoother, "modes", (math.nan, math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,

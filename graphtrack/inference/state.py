@@ -14,13 +14,15 @@ import numpy as np
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, TIME_TOLERANCE, N
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS
+from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.packages import gtsam
 from graphtrack.saved import DAMAGES, check_numbers, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.schema import INPUT_NAME, is_input_name
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 from graphtrack.tracks.validation import FIELDS, FINITE, LARGEST_SECONDS, Bounds, real_numbers
 
@@ -346,12 +348,20 @@ def states_of(values: gtsam.Values, steps: Sequence[Step], model: Model) -> Floa
     return np.array([read_step(values, step, model) for step in steps])
 
 
-def finite(state: Sequence[float]) -> FloatArray:
-    """The state as an array (6,); ArithmeticError unless it is finite, NaN angles aside."""
-    found = np.array(state)
-    if not np.isfinite(found[:4]).all() or np.isinf(found).any():
-        raise ArithmeticError("the estimate is not finite")
-    return found
+NOT_DETERMINED = "the estimate is not finite, or lost by rounding"
+
+
+def determined(newest: Newest, step: Step, model: Model) -> Newest:
+    """The newest estimate; ArithmeticError unless it is finite, NaN angles aside, and exceeds rounding."""
+    state, covariance = newest
+    fine = bool(np.isfinite(state[:4]).all()) and not np.isinf(state).any()
+    if fine and step.dt is not None:
+        variance = float(np.trace(covariance[:2, :2])) / 2.0
+        information = 1.0 / model.parameters.motion.acceleration_density
+        fine = 0.0 <= rounding(step.dt, information, variance) <= LARGEST_ROUNDING
+    if not fine:
+        raise ArithmeticError(NOT_DETERMINED)
+    return newest
 
 
 class SavedState(NamedTuple):

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import Forecaster
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, direction
 from graphtrack.interaction.gaze_model import REACH, SWITCHING, concentration, gaze_of_frame, gaze_over_time
-from graphtrack.interaction.groups import Groups, OnlineGroups
+from graphtrack.interaction.groups import REHEARSAL as GROUPS
+from graphtrack.interaction.groups import Groups, OnlineGroups, facing_people
 from graphtrack.interaction.groups import groups as find_groups
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, Place, people_of_estimates
+from graphtrack.interaction.people import (
+    USED,
+    IntArray,
+    People,
+    PeopleEstimates,
+    Place,
+    people_of_estimates,
+)
 from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.given import warn_unused
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import HEAD_CLASSES, check_numbers, number
 
@@ -103,9 +113,13 @@ def attention(
     groups : conversation groups; by default they are estimated
     online : True to use only the past of each frame
     """
+    make_attention_ready()
     chosen = AttentionParameters() if parameters is None else parameters
     everybody = sorted(tracks, key=lambda track: track.track_id)
-    found = find_groups(everybody, online=online) if groups is None else groups
+    warn_unused(everybody, (*USED, *(f"head_p{k}" for k in range(HEAD_CLASSES))), "attention")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)  # of the same columns
+        found = find_groups(everybody, online=online) if groups is None else groups
     number = {one.track_id: np.full(len(one), -1) for one in everybody}
     frames = {one.track_id: one.frame for one in everybody}
     for person in number.keys() & set(np.unique(found.track_id).tolist()):
@@ -182,11 +196,11 @@ def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
     if track.head is None:
         return np.full((len(track), 1), np.nan), np.zeros((len(track), 1)), np.ones((len(track), 1))
     kappa = np.full(len(track), _EXACT)
-    if track.covariance is not None:
-        place = STATE.index("head")
-        kappa = concentration(track.covariance[:, place, place])
-    elif track.head_kappa is not None:
+    if track.head_kappa is not None:
         kappa = np.where(np.isnan(track.head_kappa), _EXACT, track.head_kappa)
+    if track.covariance is not None:
+        variance = track.covariance[:, STATE.index("head"), STATE.index("head")]
+        kappa = np.where(np.isnan(variance), kappa, concentration(variance))
     known = np.where(np.isfinite(track.head) & np.isfinite(kappa), 1.0, np.nan)
     return known[:, None], np.nan_to_num(track.head)[:, None], np.nan_to_num(kappa, nan=0.0)[:, None]
 
@@ -396,18 +410,22 @@ class OnlineAttention(Saved):
     Examples
     --------
     >>> import graphtrack as gt
-    >>> tracker, groups, attention = gt.OnlineTracker("joint"), gt.OnlineGroups(), gt.OnlineAttention()
+    >>> groups, attention = gt.OnlineGroups(), gt.OnlineAttention()
+    >>> smoothers = {1: gt.OnlineSmoother("joint"), 2: gt.OnlineSmoother("joint")}
     >>> for k in range(10):
-    ...     people = tracker.update(0.2 * k, [gt.Observation(0.0, position=(x, 0.0), head=a, head_kappa=50.0)
-    ...                                       for x, a in ((0.0, 0.0), (2.0, 1.6))])
-    ...     looks = attention.update(0.2 * k, people, groups.update(0.2 * k, people))
-    >>> max(looks.told()[1], key=lambda look: look[2])[:2]
+    ...     people = {
+    ...         number: smoothers[number].update(gt.Observation(0.2 * k, position=(x, 0.0), head=head))
+    ...         for number, x, head in ((1, 0.0, 0.0), (2, 2.0, 1.6))
+    ...     }
+    ...     targets = attention.update(0.2 * k, people, groups.update(0.2 * k, people))
+    >>> max(targets.by_person()[1], key=lambda target: target[2])[:2]
     ('person', 2)
     """
 
     _saved: ClassVar = {"t": float, "_known": _Known}
 
     def __init__(self, places: Sequence[Place] = (), parameters: AttentionParameters | None = None) -> None:
+        make_attention_ready()
         self.parameters = AttentionParameters() if parameters is None else parameters
         self.places = tuple(places)
         self._known = _nobody(len(self.places))
@@ -461,32 +479,25 @@ class OnlineAttention(Saved):
         kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
-        away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
+        kept_until = known.t + _FORGOTTEN / parameters[SWITCHING] + TIME_TOLERANCE
+        away = np.flatnonzero(gone & (t <= kept_until))
         self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
         return GazeTargets(int(people.frame[0]), t, ids, first, target, person, names, place)
 
 
-def make_behaviour_ready(*, groups: bool = True, forecasts: bool = False) -> None:
-    """Compile or load the kernels of groups and attention, or forecasts; the log reports a long wait."""
-    rehearsals = [Rehearsal("groups and looks", _rehearse, 12.0)] * groups
-    rehearsals += [Rehearsal("forecasts", _rehearse_forecast, 1.0)] * forecasts
-    make_ready(", ".join(one.name for one in rehearsals), *rehearsals)
+def make_attention_ready() -> None:
+    """Compile or load the functions of groups and gaze targets; the log reports a long wait."""
+    make_ready("groups and looks", GROUPS, REHEARSAL)
 
 
 def _rehearse() -> None:
-    groups = OnlineGroups()
-    attention = OnlineAttention([Place("made up", np.array([[0.0, 5.0]]), 0.5)])
-    for k in range(2):
-        aside = np.array([[0.0, 0.0], [1.0, 0.0]])
-        ahead = np.array([[0.9, 0.1], [-0.9, 0.1]])
-        rows, one = np.arange(2), np.array([k])
-        people = People(rows, one, 1.0 * one, np.array([0, 2]), rows, aside, 0.0 * aside, ahead, ahead)
-        attention.take(people, groups.take(people))
+    people, groups = facing_people(2), OnlineGroups()
+    online = OnlineAttention([Place("simulated", np.array([[0.0, 5.0]]), 0.5)])
+    for one in people.frames():
+        online.take(one, groups.take(one))
+    head = direction(people.head)
+    attention([Track(k, people.frame, people.t, people.position[k::2], head=head[k::2]) for k in (0, 1)])
 
 
-def _rehearse_forecast() -> None:
-    forecaster = Forecaster()
-    for k in range(3):
-        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
-    forecaster.forecast([0.4])
+REHEARSAL = Rehearsal("attention", _rehearse, 8.0)

@@ -20,12 +20,13 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
     walks,
 )
-from graphtrack.interaction.groups import groups_of
+from graphtrack.interaction.groups import groups_of, make_groups_ready
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import Numbers, People, numbers_of, people_at, people_of
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.conversation import GROUP, Group, with_group_at
 from graphtrack.saved import Saved
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track, TrackSet
 
 ROUNDS = 4  # times that groups and states are found at most
@@ -43,6 +44,7 @@ def solve_in_turn(
 
     The groups of the first round are those of estimates without any.
     """
+    make_groups_ready()
     nobody = tracks.map(lambda track: with_group(track, np.full((len(track), 3), np.nan)))
     found = solve(nobody)
     before: dict[int, set[frozenset[int]]] = {}
@@ -168,6 +170,7 @@ class Conversations(Saved):
     }
 
     def __init__(self, model: Model) -> None:
+        make_groups_ready()
         self._correlation_time = model.parameters.social.correlation_time
         self._evidence = OnlineEvidence(DEFAULT)
         self._known: dict[int, _Known] = {}
@@ -182,21 +185,21 @@ class Conversations(Saved):
         observation = checked(observation)
         self.begin(observation.t, observation.frame)
         group = self.group(track_id)
-        return observation if observation.t < self._t else with_group_at(observation, group)
+        return observation if observation.t < self._t - TIME_TOLERANCE else with_group_at(observation, group)
 
     def estimated(self, track_id: int, estimate: Estimate) -> None:
         """Take the smoother's estimates of the frame, for the frames to come.
 
         Whether somebody who is new stands or walks has to be known first.
         """
-        if estimate.status == "waiting" or estimate.t != self._t:
+        if estimate.status == "waiting" or abs(estimate.t - self._t) > TIME_TOLERANCE:
             return
         if estimate.covariance[_MOTION, _MOTION].mean() < DEFAULT.walking_speed**2:
             self._people[track_id] = numbers_of(estimate)
 
     def begin(self, t: float, frame: int = 0) -> None:
         """Begin the frame of a time (seconds), if that is later than the last, which has ended then."""
-        if not t > self._t:
+        if not t > self._t + TIME_TOLERANCE:
             return
         if self._people:
             self._take(people_at(self._t, self._frame, self._people))
@@ -206,11 +209,11 @@ class Conversations(Saved):
         """Return the group input of a person in this frame; None if they are new, or were absent for long."""
         known = self._known.get(track_id)
         long = FORGOTTEN * DEFAULT.persistence_seconds
-        return None if known is None or self._t - known.t > long else known.group
+        return None if known is None or self._t - known.t > long + TIME_TOLERANCE else known.group
 
     def _take(self, people: People) -> None:
         t = float(people.t[0])
-        kept = FORGOTTEN * DEFAULT.memory_seconds
+        kept = FORGOTTEN * DEFAULT.memory_seconds + TIME_TOLERANCE
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
         found = neighbours(people, self._evidence.take(people))
         ids = people.ids[people.person].tolist()

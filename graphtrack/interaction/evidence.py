@@ -19,6 +19,7 @@ from graphtrack.interaction.parameters import GroupParameters
 from graphtrack.interaction.people import IntArray, People
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.saved import Saved
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 REACH = 4.0  # metres: people further apart are in no group by themselves, only through others
 
@@ -226,7 +227,7 @@ def since(gap: float, seconds: float) -> tuple[float, float]:
 
     ``gap``: seconds from the frame before; infinite for the first
     """
-    if gap > FORGOTTEN * seconds:
+    if gap > FORGOTTEN * seconds + TIME_TOLERANCE:
         return min(_BEGINNING, seconds), 0.0
     return min(gap, seconds), math.exp(-gap / seconds)
 
@@ -264,7 +265,7 @@ def merged(
             and (known[k, 1] < pairs[n, 1] or (known[k, 1] == pairs[n, 1] and known[k, 0] < pairs[n, 0]))
         )
         if before:
-            if t - last[k] <= FORGOTTEN * seconds.max():
+            if t - last[k] <= FORGOTTEN * seconds.max() + TIME_TOLERANCE:
                 all_pairs[at], all_last[at], all_sums[at] = known[k], last[k], sums[k]
                 at += 1
             k += 1

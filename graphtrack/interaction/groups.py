@@ -20,9 +20,18 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
 )
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
-from graphtrack.interaction.people import IntArray, People, PeopleEstimates, people_of, people_of_estimates
-from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.interaction.people import (
+    USED,
+    IntArray,
+    People,
+    PeopleEstimates,
+    people_of,
+    people_of_estimates,
+)
+from graphtrack.kernels.compilation import Rehearsal, allocating, compiled, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.given import warn_unused
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,7 +294,8 @@ class Numbering(Saved):
         return [taken[place] for place in range(len(members))]
 
     def _forget(self, t: float) -> None:
-        for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:
+        oldest = t - self._memory - TIME_TOLERANCE
+        for number in [number for number, (then, _) in self._last.items() if then < oldest]:
             self._part(number, self._last.pop(number)[1])
 
     def _part(self, number: int, member: frozenset[int]) -> None:
@@ -385,8 +395,11 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     parameters : by default those of the literature
     online : whether the past alone counts in each frame, or both sides
     """
+    make_groups_ready()
     chosen = DEFAULT if parameters is None else parameters
-    people = people_of(tracks_of(tracks), online=online)
+    given = tracks_of(tracks)
+    warn_unused(given, USED, "groups")
+    people = people_of(given, online=online)
     if not online:
         return groups_of(people, chosen, pair_evidence(people, chosen))
     known, numbering = OnlineEvidence(chosen), Numbering(chosen.memory_seconds)
@@ -474,6 +487,7 @@ class OnlineGroups(Saved):
     _saved: ClassVar = {"t": float, "_numbering": Saved, "_evidence": Saved}
 
     def __init__(self, parameters: GroupParameters | None = None) -> None:
+        make_groups_ready()
         self.parameters = DEFAULT if parameters is None else parameters
         self._numbering = Numbering(self.parameters.memory_seconds)
         self._evidence = OnlineEvidence(self.parameters)
@@ -508,3 +522,28 @@ class OnlineGroups(Saved):
         found = groups_of(people, self.parameters, self._evidence.take(people), self._numbering)
         self.t = t
         return found
+
+
+def make_groups_ready() -> None:
+    """Compile or load the functions of groups; the log reports a long wait."""
+    make_ready("groups", REHEARSAL)
+
+
+def facing_people(frames: int) -> People:
+    """Return two people who face each other, once a second, for rehearsals."""
+    person = np.tile(np.arange(2), frames)
+    x = person.astype(float)
+    position, ahead = np.column_stack([x, 0.0 * x]), np.column_stack([0.9 - 1.8 * x, 0.1 + 0.0 * x])
+    frame, first = np.arange(frames), np.arange(0, 2 * frames + 1, 2)
+    t = frame.astype(float)
+    return People(np.arange(2), frame, t, first, person, position, 0.0 * position, ahead, ahead)
+
+
+def _rehearse() -> None:
+    people, online = facing_people(2), OnlineGroups()
+    groups_of(people, DEFAULT, pair_evidence(people, DEFAULT))
+    for one in people.frames():
+        online.take(one)
+
+
+REHEARSAL = Rehearsal("groups", _rehearse, 6.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -24,7 +23,8 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.interaction.gaze_model import half_angle
 from graphtrack.io.source import Source
-from graphtrack.io.text import expected_number, parse_number
+from graphtrack.io.text import csv_records, expected_number, parse_number
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.tracks.validation import LARGEST_METRES
 
@@ -78,6 +78,12 @@ class People:
             )
 
 
+_ANGLES = [f"{name}_{part}" for name in ("body", "head") for part in ("deg", "kappa", "std_deg")]
+
+USED = ("t", "x", "y", "vx", "vy", *_ANGLES)
+"""Columns of people that groups are found from."""
+
+
 def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
     """Return the people of a scene with known positions.
 
@@ -127,12 +133,14 @@ def expected_direction(track: Track, name: str) -> FloatArray:
         return np.zeros((len(track), 2))
     length = np.ones(len(track))
     kappa: FloatArray | None = getattr(track, f"{name}_kappa")
-    if track.covariance is not None:
-        place = STATE.index(name)
-        return expected_unit(angle, track.covariance[:, place, place])
     if kappa is not None:
         length = np.where(np.isnan(kappa), 1.0, mean_resultant_length(np.nan_to_num(kappa)))
-    return np.nan_to_num(length[:, None] * unit(angle))
+    direction: FloatArray = np.nan_to_num(length[:, None] * unit(angle))
+    if track.covariance is None:
+        return direction
+    place = STATE.index(name)
+    variance = track.covariance[:, place, place]
+    return np.where(np.isnan(variance)[:, None], direction, expected_unit(angle, variance))
 
 
 def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
@@ -141,11 +149,9 @@ def _velocity(track: Track, known: BoolArray, online: bool) -> FloatArray:
     count = len(t)
     if count < 2:
         return np.zeros((count, 2))
-    each = np.arange(count)
-    before = np.minimum(np.searchsorted(t, t - _SLOPE_SECONDS), np.maximum(each - 1, 0))
-    after = np.maximum(
-        np.searchsorted(t, t + _SLOPE_SECONDS, side="right") - 1, np.minimum(each + 1, count - 1)
-    )
+    each, reach = np.arange(count), _SLOPE_SECONDS + TIME_TOLERANCE
+    before = np.minimum(np.searchsorted(t, t - reach), np.maximum(each - 1, 0))
+    after = np.maximum(np.searchsorted(t, t + reach, side="right") - 1, np.minimum(each + 1, count - 1))
     if online:
         past: FloatArray = (position - position[before]) / np.where(each > 0, t - t[before], 1.0)[:, None]
         return past
@@ -250,20 +256,19 @@ def read_places(path: str | Path) -> list[Place]:
     an invalid number.
     """
     source = Source.open(path)
-    reader = csv.DictReader(source.lines, skipinitialspace=True)
-    header = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = header
+    header, rows = csv_records(source)
     if "name" not in header or not ({"x", "y", "radius"} <= set(header) or "polygon" in header):
         expected = "name and x, y, radius, or name and polygon"
         raise InputError(f"the columns {', '.join(header)[:80]}", expected, path=source.path)
     places: list[Place] = []
-    for row in reader:
-        line = reader.line_num
-        name = (row.get("name") or "").strip()
-        if not name or name in [place.name for place in places]:
+    names: set[str] = set()
+    for line, row in rows:
+        name = row["name"]
+        if not name or name in names:
             found = f"the name {name!r} again" if name else "no name"
             raise InputError(found, "a name for each place", path=source.path, line=line, column="name")
-        cells = {key: (row.get(key) or "").strip() for key in ("x", "y", "radius", "polygon")}
+        names.add(name)
+        cells = {key: row.get(key, "") for key in ("x", "y", "radius", "polygon")}
         if bool(cells["radius"]) == bool(cells["polygon"]):
             found = f"place {name!r} with {'both' if cells['radius'] else 'neither radius nor polygon'}"
             raise InputError(found, "a radius or a polygon", path=source.path, line=line)

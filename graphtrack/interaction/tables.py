@@ -15,7 +15,9 @@ from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.io.formats.native import open_table
 from graphtrack.io.groups import UNLABELLED
+from graphtrack.io.limits import MemoryLimit
 from graphtrack.tracks.cells import Cells, integers, numbers
+from graphtrack.tracks.validation import LARGEST_ID, parse_number
 
 IntArray = NDArray[np.int64]
 
@@ -130,20 +132,23 @@ def read_attention(path: str | Path) -> list[Attention]:
         cells.refuse(np.isnan(values), name, "a finite number")
     target = np.array([(cell or "").strip() for cell in cells.columns["target"]], dtype=object)
     of_person = kind == 0
-    no_id = np.array([not cell.lstrip("-").isdecimal() for cell in target], dtype=bool)
+    ids = np.array([np.nan if (one := parse_number(cell)) is None else one for cell in target])
+    no_id = ~(np.abs(ids) <= LARGEST_ID) | (ids != np.rint(ids))
     cells.refuse(of_person & no_id, "target", "an id")
     codes = tuple(sorted(set(target[kind == 1].tolist())))
     number = {name: k for k, name in enumerate(codes)}
     person_target = np.zeros(len(target), dtype=np.int64)
-    person_target[of_person] = [int(cell) for cell in target[of_person]]
+    person_target[of_person] = ids[of_person].astype(np.int64)
     which = np.where(kind == 1, [number.get(cell, 0) for cell in target], 0)
     _check_once(cells, frame, person, kind, person_target, which)
-    found = []
+    found, limit = [], MemoryLimit(cells.path, cells.path.stat().st_size)
     for one in np.unique(person).tolist():
         mine = np.flatnonzero(person == one)
         frames, first, row = np.unique(frame[mine], return_index=True, return_inverse=True)
         targets = np.unique(person_target[mine][of_person[mine]])
-        share = np.zeros((len(frames), len(targets) + len(codes) + 1))
+        width = len(targets) + len(codes) + 1
+        limit.check(8 * len(frames) * width, f"{len(frames)} frames of {width} targets")
+        share = np.zeros((len(frames), width))
         column = np.select(
             [of_person[mine], kind[mine] == 1],
             [np.searchsorted(targets, person_target[mine]), len(targets) + which[mine]],

@@ -58,7 +58,6 @@ _MEANINGS = {
 } | {"lat": ("lat", "latitude"), "lon": ("lon", "lng", "long", "longitude")}
 """Key of ``--columns`` → all names that may mean it, the likeliest first."""
 
-_BRACKETS = re.compile(r"[\[({]\s*([^\])}]*?)\s*[\])}]")
 _WORDS = re.compile(r"[^\W_]+")
 
 READ_AS = "read column"
@@ -69,18 +68,39 @@ UNSURE_UNIT = (
 )
 """Note on a column of times without a unit in its name."""
 
+_LONGEST_NAME = 200  # characters of a name, above which it has no well-known meaning
+
 _NO_METRES = frozenset(("u", "v", "lat", "lon"))  # with these columns no other column is taken for metres
 
 
 def plain(name: str) -> tuple[str, str]:
     """Return a name in lower case without punctuation, brackets and unit, and the unit, "" for none."""
-    bracket = _BRACKETS.search(name)
-    unit = bracket[1].lower() if bracket else ""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETS.sub(" ", name))  # agentId: agent Id
+    if len(name) > _LONGEST_NAME:
+        return "", ""
+    outside, unit = _without_brackets(name)
+    unit = unit.lower()
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", outside)  # agentId: agent Id
     words = [word.lower() for word in _WORDS.findall(spaced)]
     if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES):
         unit = words.pop()
     return "".join(words), unit
+
+
+def _without_brackets(name: str) -> tuple[str, str]:
+    """Return a name with a space for each pair of brackets, and the content of the first pair."""
+    outside, content, found = "", "", list[str]()
+    opened = False
+    for character in name:
+        if opened and character in "])}":
+            found.append(content.strip())
+            outside, content, opened = f"{outside} ", "", False
+        elif opened:
+            content += character
+        elif character in "[({":
+            opened = True
+        else:
+            outside += character
+    return outside + (f" {content}" if opened else ""), next(iter(found), "")
 
 
 def meanings(names: Iterable[str]) -> dict[str, str]:
@@ -103,9 +123,11 @@ def meanings(names: Iterable[str]) -> dict[str, str]:
 
 def wide(names: Iterable[str]) -> dict[str, str]:
     """Return ``x`` and ``y`` patterns with the identity's placeholder, for x_1, y_1 or anna_x, anna_y."""
-    there = list(names)
+    there = dict.fromkeys(names)
     counted: dict[tuple[str, str], int] = {}
     for name in there:
+        if len(name) > _LONGEST_NAME:
+            continue
         for place in re.finditer(r"(?<![A-Za-z])[xX](?![A-Za-z])", name):
             other = name[: place.start()] + ("y" if place[0] == "x" else "Y") + name[place.end() :]
             if other not in there:
@@ -124,10 +146,10 @@ def _patterns(name: str, start: int, end: int) -> list[str]:
     patterns = []
     before, after = name[:start], name[end:]
     if after and not before:
-        mark = re.match(r"[\W_]?", after)[0]  # type: ignore[index]
+        mark = "" if after[0].isalnum() else after[0]
         patterns.append(f"{name[start:end]}{mark}{WILD}")
     if before and not after:
-        mark = re.search(r"[\W_]?$", before)[0]  # type: ignore[index]
+        mark = "" if before[-1].isalnum() else before[-1]
         patterns.append(f"{WILD}{mark}{name[start:end]}")
     return patterns
 

@@ -176,9 +176,11 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
         # The published annotation has some people in two groups at once: the larger one counts.
         groups = [_group(source, number, part.split()) for part in parts]
         kept: list[frozenset[int]] = []
+        known: set[int] = set()
         for group in sorted(groups, key=len, reverse=True):
-            left = group.difference(*kept)
+            left = group - known
             twice |= {number} if left != group else set()
+            known |= group
             kept.append(left)
         steps.append(GroupStep(key, tuple(group for group in kept if group), number))
     if twice:

@@ -11,6 +11,7 @@ from typing import Literal, TypedDict, Unpack, get_args
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.limits import MemoryLimit
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
 from graphtrack.tracks.cells import WILD, Layout
 from graphtrack.tracks.schema import is_column
@@ -106,6 +107,7 @@ class ReadingBase(TypedDict, total=False):
     topic: str | None
     fixed_frame: str | None
     reference: AsRead | None
+    max_memory: float | None
 
 
 class Placing(ReadingBase, total=False):
@@ -155,6 +157,8 @@ class ReadOptions:
     topic : of a ROS 2 recording, the topic with people, or a pattern for topics of one person each
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
     reference : layout of another table with the same origins of time and local metres
+    max_memory : GiB that the content of the file may take; None: 4, and no more than 200 times the size of
+        the file, or 64 MiB where that is more
     """
 
     fps: float | None = None
@@ -178,10 +182,12 @@ class ReadOptions:
     topic: str | None = None
     fixed_frame: str | None = None
     reference: AsRead | None = None
+    max_memory: float | None = None
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
         check_positive("metres_per_pixel", self.metres_per_pixel, 1e6)
+        check_positive("max_memory", self.max_memory, 1e6)
         if self.associate not in get_args(Associate):
             raise InputError(f"associate = {self.associate!r}", f"one of {', '.join(get_args(Associate))}")
         object.__setattr__(
@@ -207,6 +213,10 @@ class ReadOptions:
         if unknown:
             raise InputError(f"unknown options {unknown}", f"some of {', '.join(cls.__dataclass_fields__)}")
         return cls(**options)
+
+    def limit(self, path: Path, stored: int | None = None) -> MemoryLimit:
+        """Return the limit of the memory that the content of a file of so many bytes may take."""
+        return MemoryLimit(path, stored, self.max_memory, "--max-memory")
 
     def layout(self) -> Layout | None:
         """Return the columns and units of a table; None for the native table.

@@ -242,7 +242,7 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     """Return the source with text as UTF-8, commas and decimal points, by the options; for a bag its path."""
     place = table_in(place_of(path))
     if is_recording(place):
-        return Source(place, b"")
+        return Source(place, b"", options.limit(place))
     if place.is_dir():
         expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
         raise InputError("a directory", expected, path=path)
@@ -250,7 +250,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
     with read_errors(place):
-        return in_utf8(Source.open(place), options.delimiter, options.decimal, options.encoding)
+        source = Source.open(place, options.limit(place))
+        return in_utf8(source, options.delimiter, options.decimal, options.encoding)
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
@@ -318,6 +319,7 @@ def write(
     *,
     format: str | None = None,
     homography: FloatArray | str | Path | None = None,
+    spreadsheet: bool = False,
 ) -> None:
     """Write tracks atomically: on any failure nothing is left behind.
 
@@ -327,6 +329,8 @@ def write(
     format : name of the format; None: by the file name's suffix
     homography : (3, 3) image → ground, or the path of its nine numbers, for formats with boxes; it replaces
         the camera of the tracks
+    spreadsheet : put an apostrophe before text, such as labels, that a spreadsheet would run as a formula
+        (it begins with =, +, -, @, a tab or a carriage return); for CSV
 
     Raises
     ------
@@ -346,8 +350,30 @@ def write(
     if homography is not None:
         matrix = read_homography(homography) if isinstance(homography, str | Path) else homography
         tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))
+    if spreadsheet:
+        if chosen is not CSV:
+            raise InputError(f"--spreadsheet for the format {chosen.name}", "csv", path=path)
+        tracks = _without_formulas(tracks)
     with atomic_path(path) as temporary:
         chosen.write(tracks, temporary)
+
+
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+
+
+def _without_formulas(tracks: TrackSet) -> TrackSet:
+    """Return tracks whose labels, text identities and names of columns are no formulas of a spreadsheet."""
+
+    def text(given: str) -> str:
+        return f"'{given}" if given.startswith(_FORMULAS) else given
+
+    as_read = tracks.as_read
+    if as_read is not None:
+        columns = {key: text(name) for key, name in as_read.columns.items()}
+        names = {key: text(name) for key, name in as_read.names.items()}
+        as_read = replace(as_read, columns=columns, names=names)
+    labelled = tracks.map(lambda track: replace(track, label=text(track.label)))
+    return replace(labelled, as_read=as_read)
 
 
 def tracks_given(

@@ -6,11 +6,10 @@ import codecs
 import contextlib
 import gzip
 import io
-import math
 import tomllib
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -19,6 +18,7 @@ import tomli_w
 
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.limits import MemoryLimit
 from graphtrack.packages import package
 from graphtrack.tracks.validation import with_table
 
@@ -49,7 +49,9 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
         fsspec = package("fsspec", "cloud")
         try:
             with fsspec.open(url, "rb") as stream:
-                return io.BytesIO(stream.read())
+                return io.BytesIO(MemoryLimit(self).read(stream, "content"))
+        except InputError:
+            raise
         except FileNotFoundError as error:
             raise InputError("no such file", "an existing file", path=url) from error
         except ImportError as error:
@@ -68,9 +70,6 @@ def place_of(given: str | Path) -> Path:
     return RemoteFile(given) if isinstance(given, str) and _MARK in given else Path(given)
 
 
-MAX_BYTES = 4 * 2**30
-"""The largest input that is read, unpacked: a guard against files that unpack without end."""
-
 HEAD_BYTES = 8192
 """Bytes of a file by which its format is recognised."""
 
@@ -83,11 +82,11 @@ _BYTE_ORDER_MARKS = {
 }
 """Byte order mark → encoding."""
 
-_CHUNK = 2**20
-_HIGHEST_RATIO, _RATIO_FROM = 200, 2**26
-"""A packed file of more bytes, and of a higher compression ratio, is refused; tables have 3 to 30."""
 _SHORTEST, _LINES_FROM = 4, 10**6
 """Mean characters a line, below which a text of so many lines is refused: the shortest row has 9."""
+
+
+_OF_ANY_FILE = MemoryLimit(Path("file"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,36 +97,40 @@ class Source:
     ----------
     path : of the file (for messages and companion files)
     data : content
+    limit : of the memory that the content may take
     """
 
     path: Path
     data: bytes
+    limit: MemoryLimit = _OF_ANY_FILE
 
     @classmethod
-    def open(cls, path: str | Path) -> Source:
-        """Read a file whole."""
+    def open(cls, path: str | Path, limit: MemoryLimit | None = None) -> Source:
+        """Read a file whole, within a limit of memory."""
         path = place_of(path)
+        limit = limit or MemoryLimit(path)
         try:
             if path.is_dir():
                 raise InputError("a directory", "a file", path=path)
             if path.exists() and not (path.is_file() or path.is_fifo()):
                 raise InputError("a device", "a regular file", path=path)
             with path.open("rb") as stream:
-                data = _read_limited(stream, path) or b""
+                data = limit.read(stream, "content")
         except FileNotFoundError as error:
             raise InputError("no such file", "an existing file", path=path) from error
         except PermissionError as error:
             raise InputError("a file without permission to read", "a readable file", path=path) from error
         except (OSError, ValueError) as error:  # ValueError: a path with a null byte
             raise InputError(str(error), "a readable file", path=path) from error
+        limit = replace(limit, stored=len(data))
         if data.startswith(_GZIP_MAGIC):
-            data = _gunzip(data, path)
+            data = _gunzip(data, limit)
         encoding = next((name for mark, name in _BYTE_ORDER_MARKS.items() if data.startswith(mark)), None)
         if encoding is not None:
             data = _decoded(data, encoding)
         if not data:
             raise InputError("an empty file", "rows", path=path)
-        return cls(path, data)
+        return cls(path, data, limit)
 
     def fail(
         self, found: str, expected: str, line: int | None = None, column: str | int | None = None
@@ -209,18 +212,6 @@ def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
     return sum(map(matches, lines)) * 2 > len(lines)
 
 
-def _read_limited(stream: io.BufferedIOBase, path: Path, most: float = math.inf) -> bytes | None:
-    """Read a stream in pieces; return None once it exceeds ``most`` bytes."""
-    content = io.BytesIO()
-    while chunk := stream.read(_CHUNK):
-        content.write(chunk)
-        if content.tell() > most:
-            return None
-        if content.tell() > MAX_BYTES:
-            raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
-    return content.getvalue()
-
-
 def _decoded(data: bytes, encoding: str) -> bytes:
     """Return the text as UTF-8; unchanged if it is not text, or XML, which declares its encoding."""
     try:
@@ -230,18 +221,14 @@ def _decoded(data: bytes, encoding: str) -> bytes:
         return data
 
 
-def _gunzip(data: bytes, path: Path) -> bytes:
+def _gunzip(data: bytes, limit: MemoryLimit) -> bytes:
     """Return the unpacked content; stop early at a file that unpacks without end."""
     try:
         with gzip.open(io.BytesIO(data)) as stream:
-            content = _read_limited(stream, path, max(_RATIO_FROM, _HIGHEST_RATIO * len(data)))
+            return limit.read(stream, "unpacked content")
     except (EOFError, zlib.error, OSError) as error:
         found = f"a cut or damaged gzip file ({error})"
-        raise InputError(found, "a whole one", path=path) from error
-    if content is None:
-        found = f"a gzip file that unpacks to more than {_HIGHEST_RATIO} times its size"
-        raise InputError(found, "a table; unpack it first if it is one", path=path)
-    return content
+        raise InputError(found, "a whole one", path=limit.path) from error
 
 
 _STAGES, _REPORTED = "stages.json", "tracks.csv"
@@ -268,13 +255,34 @@ def table_in(path: Path) -> Path:
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
     """Return the content of a TOML file; ``expected`` describes it in messages."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        # The parser takes quadratic time and memory for a key of many parts.
+        for number, line in enumerate(text.split("\n"), 1):
+            if line.count(".") > _MOST_PARTS and not _is_numbers(line):
+                raise InputError(
+                    "more than 100 dots", f"keys of few parts: {expected}", path=path, line=number
+                )
+        return tomllib.loads(text)
     except OSError as error:
         raise InputError(error.strerror or str(error), f"a readable file: {expected}", path=path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
         raise InputError(f"no TOML ({error})", expected, path=path) from error
     except RecursionError as error:
         raise InputError("brackets within brackets without end", expected, path=path) from error
+
+
+_MOST_PARTS = 100
+
+
+def _is_numbers(line: str) -> bool:
+    """Return whether a line is a part of an array of numbers, perhaps after its key."""
+    key, _, values = line.rpartition("=")
+    has_text = '"' in values or "'" in values
+    return (
+        key.count(".") <= _MOST_PARTS
+        and not has_text
+        and all(one.count(".") < 2 for one in values.split(","))
+    )
 
 
 class ParameterFile:

@@ -29,8 +29,9 @@ _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spac
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}  # as typed after ``--delimiter``
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """Excel's line before a header."""
-_NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
+_LONGEST_NUMBER = 15
 _FEWEST = 4  # fewest numbers in a row of a table without a header
 
 
@@ -86,9 +87,15 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
     return 2 * good > len(rows)
 
 
-def csv_rows(path: Path, lines: Iterable[str], mark: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of lines of text, each with its line number, from 1."""
-    reader = csv.reader((f"{line}\n" for line in lines), delimiter=mark, strict=True)
+def csv_rows(
+    path: Path, lines: Iterable[str], mark: str = ",", *, skip_spaces: bool = False
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of lines of text, each with its line number, from 1.
+
+    ``skip_spaces``: whether spaces before a cell are left out
+    """
+    text = (f"{line}\n" for line in lines)
+    reader = csv.reader(text, delimiter=mark, skipinitialspace=skip_spaces, strict=True)
     while True:
         line = 1 + reader.line_num
         try:
@@ -99,6 +106,20 @@ def csv_rows(path: Path, lines: Iterable[str], mark: str = ",") -> Iterator[tupl
         if row is None:
             return
         yield line, row
+
+
+def csv_records(source: Source) -> tuple[list[str], Iterator[tuple[int, dict[str, str]]]]:
+    """Return the header of a table, and its rows, each with its line and its cells by column.
+
+    Names and cells are without surrounding spaces; missing cells are empty.
+    """
+    rows = ((line, row) for line, row in csv_rows(source.path, source.lines, skip_spaces=True) if row)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    padding = [""] * len(header)
+    return header, (
+        (line, dict(zip(header, (cell.strip() for cell in [*row, *padding]), strict=False)))
+        for line, row in rows
+    )
 
 
 def is_blank(row: Sequence[str]) -> bool:
@@ -181,6 +202,13 @@ def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
         else:
             writer.writerow(row)
     return out.getvalue()
+
+
+def trailing_number(text: str) -> int | None:
+    """Return the number, of 15 digits at most, at the end of a text such as a file's name; else None."""
+    digits = text[len(text.rstrip("0123456789")) :]
+    significant = digits.lstrip("0")
+    return int(significant or "0") if digits and len(significant) <= _LONGEST_NUMBER else None
 
 
 def mostly_numbers(head: bytes, delimiter: str | None, widths: Container[int]) -> bool:

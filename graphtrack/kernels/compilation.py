@@ -5,21 +5,23 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
+import errno
 import logging
 import os
 import re
 import threading
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from graphtrack.errors import InputError
+from graphtrack.machine_code import discard, machine_code_folder, mark, use_own_folder, why_not_kept
 from graphtrack.tracks.track import Track
 
 try:
@@ -44,10 +46,9 @@ INNER = {"_nrt": False, "no_cpython_wrapper": True}
 _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 """Annotations of numbers; "Any": floats or `lanes`."""
 
-_DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
-"""Text that marks sources with compiled functions."""
-
 _CACHE_DIR = threading.Lock()  # Held while numba's cache folder is changed
+
+_KEPT: list[Any] = []  # Declared functions whose machine code is kept
 
 
 def compiled(function: Function, **options: bool) -> Function:
@@ -85,50 +86,51 @@ def inner_allocating(function: Function) -> Function:
     return _declared(function, _nrt=True, no_cpython_wrapper=True)
 
 
+def kept(**options: Any) -> Callable[[Function], Function]:
+    """Return a decorator: numba's ``njit`` with these options alone, and the machine code is kept."""
+    return lambda function: _kept(function, **options)
+
+
 def _declared(function: Function, **options: bool | str) -> Function:
+    return _kept(function, **OPTIONS, **options)
+
+
+def _kept(function: Function, **options: Any) -> Function:
     if numba.config.DISABLE_JIT:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("compilation disabled by NUMBA_DISABLE_JIT", expected)
+    found = numba.njit(**options)(function)
     home = machine_code_folder()
     if home is not None:
-        # Numba reads the folder when a function is declared.
-        with _CACHE_DIR:
-            given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
-            try:
-                return cast(Function, numba.njit(cache=True, **OPTIONS, **options)(function))
-            except RuntimeError:  # of a function without a file: from the prompt, or `exec`
-                pass
-            finally:
-                numba.config.CACHE_DIR = given
-    return cast(Function, numba.njit(**OPTIONS, **options)(function))
+        try:
+            _keep_in(home, [found])
+        except RuntimeError:  # of a function without a file: from the prompt, or `exec`
+            pass
+        else:
+            _KEPT.append(found)
+    return cast(Function, found)
 
 
-def machine_code_folder() -> Path | None:
-    """The folder of machine code, in ``NUMBA_CACHE_DIR`` or the user's cache, one for each source state."""
-    try:
-        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
-        folder = Path(numba.config.CACHE_DIR or user) / _digest()
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # RuntimeError: a user without a home
-        return None
-    return folder if os.access(folder, os.W_OK) else None
-
-
-@cache
-def _digest() -> str:
-    """A digest of numba's version and of the sources in this package that declare compiled functions."""
-    digest = hashlib.sha256(numba.__version__.encode())
-    package = next(folder for folder in Path(__file__).parents if folder.name == "graphtrack")
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        if path.parent == Path(__file__).parent or _DECLARES.search(source):
-            digest.update(source)
-    return digest.hexdigest()[:16]
+def _keep_in(home: Path, functions: Iterable[Any]) -> None:
+    """Keep the machine code of declared functions in a folder."""
+    # Numba reads the setting when caching is enabled.
+    with _CACHE_DIR:
+        given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
+        try:
+            for function in functions:
+                function.enable_caching()
+        finally:
+            numba.config.CACHE_DIR = given
 
 
 logger = logging.getLogger("graphtrack")
 
 UNNOTICED = 3.0  # Seconds of compiling up to which nothing is logged
+
+_ATTEMPTS = 3  # Runs of a rehearsal: with kept machine code, compiled again, and kept elsewhere
+
+_READS_AND_WRITES = ("numba", "core", "caching.py")
+"""End of the path of numba's module that does so, as tracebacks have it."""
 
 TRACK = Track(0, np.arange(4), np.linspace(0.0, 0.3, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
 """Synthetic track, 0.1 s per frame, for the first call of compiled functions."""
@@ -147,15 +149,10 @@ class Rehearsal:
     run: Callable[[], object]
     seconds: float
 
-    def mark(self) -> Path | None:
-        """The marker file of machine code on disk; None where no folder can keep it."""
-        home = machine_code_folder()
-        return None if home is None else home / f"{self.name.replace(' ', '-')}.compiled"
-
     def is_cold(self) -> bool:
         """Return True if nothing is compiled yet, neither in this process nor on disk."""
-        mark = self.mark()
-        return self.name not in _READY and (mark is None or not mark.exists())
+        there = mark(self.name)
+        return self.name not in _READY and (there is None or not there.exists())
 
 
 def make_ready(what: str, *rehearsals: Rehearsal) -> None:
@@ -163,18 +160,53 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
     waiting = [one for one in rehearsals if one.name not in _READY]
     expected = sum(one.seconds for one in waiting if one.is_cold())
     if expected >= UNNOTICED:
-        kept = machine_code_folder() is not None
-        when = "once on this machine" if kept else "in every process: it can be kept in no folder"
+        reason = why_not_kept()
+        when = f"in every process: {reason}" if reason else "once on this machine"
         logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
     start = time.perf_counter()
     for one in waiting:
-        one.run()
-        _READY.add(one.name)
-        mark = one.mark()
-        if mark is not None:
-            mark.touch()
+        _READY.add(one.name)  # what the rehearsal calls asks for it too
+        try:
+            _rehearse(one)
+        except BaseException:
+            _READY.discard(one.name)
+            raise
+        there = mark(one.name)
+        if there is not None:
+            with contextlib.suppress(OSError):  # a full disk
+                there.touch()
     if expected >= UNNOTICED:
         logger.warning("compiled in %.0f s", time.perf_counter() - start)
+
+
+def _rehearse(one: Rehearsal) -> None:
+    """Run a rehearsal; machine code that cannot be read is replaced, or else kept for this process alone."""
+    for attempt in range(_ATTEMPTS):
+        try:
+            one.run()
+            return
+        except Exception as error:
+            if not is_of_kept_code(error) or attempt == _ATTEMPTS - 1:
+                raise
+            full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            _replace_kept_code(error, damaged=not attempt and not full)
+
+
+def _replace_kept_code(error: Exception, *, damaged: bool) -> None:
+    """Delete damaged machine code, or keep it elsewhere."""
+    folder, reason = machine_code_folder(), " ".join(str(error).split()) or type(error).__name__
+    if damaged:
+        logger.warning("machine code in %s cannot be read (%s): compiling again …", folder, reason)
+        discard()
+        return
+    logger.warning("machine code in %s cannot be used (%s): compiling for this process …", folder, reason)
+    _keep_in(use_own_folder(), _KEPT)
+
+
+def is_of_kept_code(error: Exception) -> bool:
+    """Return True if an error was raised where numba reads or writes machine code, not where it compiles."""
+    frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    return any(Path(frame.f_code.co_filename).parts[-3:] == _READS_AND_WRITES for frame in frames)
 
 
 def processors() -> int:

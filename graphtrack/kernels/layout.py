@@ -19,8 +19,6 @@ N = 6  # Degrees of freedom of a frame
 
 LANES = 8  # Tracks that are solved at once, one per lane of a vector
 
-TIME_TOLERANCE = 1e-6  # Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s
-
 STATE_SLICES: dict[str, slice] = {
     "position": slice(X, Y + 1),
     "velocity": slice(VX, VY + 1),

@@ -30,6 +30,8 @@ from graphtrack.learning.optimise import (
 )
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import range_of, scale_of
+from graphtrack.model.same_time import with_merged_rows
+from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_within
 
@@ -212,6 +214,8 @@ def fit(
     engine_of(model, "chain")
     check_within(0.0, 0.9, hold_out=hold_out)
     tracks = tracks_of(tracks, scene=model.scene)
+    tracks = tracks.map(with_position_noise)
+    tracks = tracks.with_tracks(with_merged_rows(tracks, model.parameters.likelihood, tracks.camera))
     usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
     if criterion is None:
         normalised = all(term.is_normalised for term in model.terms)

@@ -24,6 +24,7 @@ from graphtrack.forecasting.recorded import PeopleOfFrame, frames_of
 from graphtrack.forecasting.spread import LEVELS, log_density
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.gaps import positions_at
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import with_clipped
 
@@ -48,8 +49,8 @@ def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recor
         for one in tracks
     }
     for observed in frames_of(tracks):
-        rows = [int(np.searchsorted(times_of[one], observed.t - 1e-6)) for one in observed.track_id.tolist()]
-        found = np.array([of_person[one][k] for one, k in zip(observed.track_id.tolist(), rows, strict=True)])
+        people, from_ = observed.track_id.tolist(), observed.t - TIME_TOLERANCE
+        found = np.array([of_person[one][np.searchsorted(times_of[one], from_)] for one in people])
         frames.append(observed)
         actual.append(found[:, 2:])
         straight.append(found[:, 1:2] + (found[:, 1:2] - found[:, :1]) * times / EVERY)
@@ -64,7 +65,7 @@ def forecasts(
     for observed, actual, straight in zip(of.frames, of.actual, of.straight, strict=True):
         forecaster.update(observed.t, observed.track_id, observed.position, observed.std, observed.head)
         people = forecaster.people(history)
-        if observed.t - last < EVERY - 1e-6 or not len(people):
+        if observed.t - last < EVERY - TIME_TOLERANCE or not len(people):
             continue
         last = observed.t
         rows = np.searchsorted(observed.track_id, people)

@@ -25,6 +25,7 @@ from graphtrack.interaction.people import IntArray, People, people_of
 from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_gaze, score_groups, true_shares
 from graphtrack.interaction.tables import LookLabels
 from graphtrack.io.groups import UNLABELLED, GroupLabels
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import with_clipped
 
@@ -132,7 +133,7 @@ def fit_groups(tracks: TrackSet, labels: GroupLabels, *, hold_out: float = 0.25)
     times = np.unique(t[used])
     chosen = times[np.linspace(0, len(times) - 1, min(len(times), _FRAMES)).round().astype(int)].tolist()
     if _stand(people, label, labelled & np.isin(t, chosen), parameters):
-        near = np.abs(people.t[:, None] - np.array(chosen)).min(axis=1) <= _ABOUT
+        near = np.abs(people.t[:, None] - np.array(chosen)).min(axis=1) <= _ABOUT + TIME_TOLERANCE
         label_near = label[near[people.frame_of]]
         shown = [_frames(people_of(hide(track) for track in tracks), near) for hide in _HIDDEN]
         begin = np.log([getattr(parameters, name) for name in _PRIOR])

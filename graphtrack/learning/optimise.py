@@ -28,6 +28,7 @@ from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import MotionParameters, with_oscillation
 from graphtrack.packages import special
 from graphtrack.simulation.degrade import withhold
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track
 
 Blocks = Callable[[FloatArray], FloatArray]
@@ -151,7 +152,7 @@ def hidden_frames(track: Track, channel: int, fold: int) -> NDArray[np.bool_]:
     """Return frames (n,) in which a fold holds out a channel (0 position, 1 body, 2 head), in intervals."""
     seconds = track.t - track.t[0]
     stretch = min(_STRETCH, 1.001 * float(seconds[-1]) / FOLDS)
-    return (np.floor_divide(seconds, stretch).astype(int) + channel) % FOLDS == fold
+    return (np.floor_divide(seconds + TIME_TOLERANCE, stretch).astype(int) + channel) % FOLDS == fold
 
 
 def withheld(track: Track, fold: int) -> Track:

@@ -26,6 +26,7 @@ from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset, rows_of
 from graphtrack.scale.workers import on_cluster
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.schema import in_order
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import TrackSet, to_columns
 
 IntArray = NDArray[np.int64]
@@ -41,7 +42,7 @@ class Block:
     Attributes
     ----------
     rows : (n, columns + 1) as `Dataset.blocks` has them
-    begin, end : seconds, from and up to which the people of this block count
+    begin, end : frame numbers, from and up to which the people of this block count
     """
 
     rows: FloatArray
@@ -134,8 +135,7 @@ def associate_dataset(
     ):
         for block in found:
             names, people = continued(block, earlier, people)
-            t = block.columns["t"]
-            own = (t >= block.begin) & (t < block.end)
+            own = counts(block.columns["frame"], block)
             writer.add(
                 {**{name: values[own] for name, values in block.columns.items()}, "track_id": names[own]}
             )
@@ -157,14 +157,15 @@ def time_blocks(
     ``fps``: frame rate, where there is no column ``t``
     """
     name, unit = ("frame", 1.0 / fps) if "t" not in columns and fps else ("t", 1.0)
-    place, overlap = columns.index(name), overlap / unit
+    place, overlap, tolerance = columns.index(name), overlap / unit, TIME_TOLERANCE / unit
+    frame = columns.index("frame")
     parts: list[FloatArray] = []
-    have, begin, last = 0, -np.inf, -np.inf
+    have, begin, begun, last = 0, -np.inf, -np.inf, -np.inf
     for part in dataset.blocks(columns):
-        back = np.flatnonzero(np.diff(part[:, place], prepend=last) < 0.0)
+        back = np.flatnonzero(np.diff(part[:, place], prepend=last) < -tolerance)
         if len(back):
             row = part[back[0]]
-            raise dataset.fail(f"{name} = {row[place]:g}", "rows in the order of time", int(row[-1]), name)
+            raise dataset.fail(f"{name} = {row[place]:.15g}", "rows in the order of time", int(row[-1]), name)
         last = float(part[-1, place])
         parts.append(part)
         have += len(part)
@@ -173,13 +174,20 @@ def time_blocks(
         rows = np.concatenate(parts)
         parts = [rows]
         # The newest frame may go on in what is read next.
-        if last - max(begin, float(rows[0, place])) > 2.0 * overlap:
-            end = last - 0.5 * overlap
-            yield Block(rows[rows[:, place] < last], begin * unit, end * unit)
+        if last - max(begun, float(rows[0, place])) > 2.0 * overlap + tolerance:
+            begun = last - 0.5 * overlap
+            # A frame, unlike a time, is exact: every row counts in one block.
+            end = float(rows[rows[:, place] >= begun - tolerance, frame].min())
+            yield Block(rows[rows[:, place] < last - tolerance], begin, end)
             begin = end
-            parts = [rows[rows[:, place] >= last - overlap]]
+            parts = [rows[rows[:, place] >= last - overlap - tolerance]]
             have = 0
-    yield Block(np.concatenate(parts), begin * unit, np.inf)
+    yield Block(np.concatenate(parts), begin, np.inf)
+
+
+def counts(frame: NDArray[Any], block: Block | Associated) -> NDArray[np.bool_]:
+    """Return True for the frames (n,) in which the people of a block count."""
+    return np.asarray((frame >= block.begin) & (frame < block.end))
 
 
 def associate_block(
@@ -190,15 +198,15 @@ def associate_block(
     rows = with_identities(native, known)
     tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
     found = to_columns(tracks)
-    # A person has at most one detection in a frame.
-    keys, width = rows.track_id * (1 + rows.frame.max()) + rows.frame, 1 + rows.frame.max()
+    # A person has at most one detection in a frame, and all frames are within those of the detections.
+    first, width = rows.frame.min(), np.ptp(rows.frame) + 1
+    keys = rows.track_id * width + (rows.frame - first)
     order = np.argsort(keys)
-    wanted = found["track_id"] * width + found["frame"]
+    wanted = found["track_id"] * width + (found["frame"] - first)
     place = order[np.minimum(np.searchsorted(keys[order], wanted), len(order) - 1)]
     lines = np.array([rows.line_of(i) - 1 for i in range(len(rows))])
     row = np.where(keys[place] == wanted, lines[place], -1)
-    t = native.channels["t"]
-    own = int(((t >= block.begin) & (t < block.end)).sum())
+    own = int(counts(native.frame, block).sum())
     return Associated(found, row, block.begin, block.end, own)
 
 

@@ -16,10 +16,18 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.column_names import with_synonyms
-from graphtrack.io.formats.native import ROW_GROUP, arrow_errors
+from graphtrack.io.formats.native import ROW_GROUP, arrow_errors, text_columns
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.text import parse_number
-from graphtrack.tracks.cells import Cells, Layout, cells_of_arrow, labels, numbers, rows_of_cells
+from graphtrack.tracks.cells import (
+    Cells,
+    Layout,
+    cells_of_arrow,
+    check_type,
+    labels,
+    numbers,
+    rows_of_cells,
+)
 from graphtrack.tracks.schema import INTEGERS, in_order, is_column, unknown
 from graphtrack.tracks.table import Rows
 
@@ -104,7 +112,11 @@ class Dataset:
         with arrow_errors(file.path):
             # Without pre_buffer=False a row group's columns are fetched whole, whatever the buffer's size.
             parquet = pq.ParquetFile(
-                file.path, buffer_size=_BUFFER, pre_buffer=False, page_checksum_verification=True
+                file.path,
+                read_dictionary=text_columns(pq.read_schema(file.path)),
+                buffer_size=_BUFFER,
+                pre_buffer=False,
+                page_checksum_verification=True,
             )
         with parquet:
             batches = parquet.iter_batches(BLOCK, columns=stored)
@@ -265,9 +277,12 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
     import pyarrow.parquet as pq
 
     with arrow_errors(place), pq.ParquetFile(place) as parquet:
-        names, n_rows = list(parquet.schema_arrow.names), parquet.metadata.num_rows
+        schema, n_rows = parquet.schema_arrow, parquet.metadata.num_rows
+    names = list(schema.names)
     if len(set(names)) < len(names):
         raise InputError("a column twice", "each column once", path=place)
+    for name in filter(is_column, names):
+        check_type(schema, name, place)
     constants: dict[str, float | str] = {}
     foreign: list[tuple[str, str]] = []
     for part in place.relative_to(root).parts[:-1]:

@@ -28,6 +28,7 @@ from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model
+from graphtrack.model.given import notes_on
 from graphtrack.packages import package
 from graphtrack.scale.dataset import rows_of_block
 from graphtrack.smoothing import solve_tracks
@@ -124,7 +125,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         n_sorted,
         tuple(result for result in found if isinstance(result, Failure)),
         tuple((result.track.track_id, result.iterations) for result in good if not result.converged),
-        tracks.summary.notes,
+        (*tracks.summary.notes, *notes_on(tracks.tracks, work.model, tracks.camera)),
         speeds,
     )
 

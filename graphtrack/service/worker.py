@@ -137,7 +137,8 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
 if WARM in os.environ:  # in the parent of the processes, once
     _given = json.loads(os.environ[WARM])
     _model = Model.from_dict(_given["model"])
-    Answers(_model.with_terms(StaysInside) if _given["walls"] else _model, _given["engine"]).warm_up()
+    _model = _model.with_terms(StaysInside) if _given["walls"] else _model
+    Answers(_model, _given["engine"]).warm_up(detections=True)
     # Objects loaded so far are shared by all streams until one writes to them, as garbage collection would.
     gc.collect()
     gc.freeze()

@@ -6,7 +6,7 @@ Groups, attention and forecasts of a frame are added when the frame has ended.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
@@ -24,12 +24,12 @@ from graphtrack.interaction.coupled import CONVERSATIONS
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
-from graphtrack.kernels.layout import TIME_TOLERANCE
 from graphtrack.model import Observation
 from graphtrack.saved import Saved
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 FRAMES = "frames"
 """Key of `EndedFrames` among the saved members of a stream."""
@@ -159,14 +159,14 @@ class EndedFrames(Saved):
         if estimate.status == "waiting":
             return []
         rows: list[dict[str, Any]] = []
-        if observation.t > self._t:
+        if observation.t > self._t + TIME_TOLERANCE:
             rows = self.finish()
             self._t, self._frame, self._is_open = observation.t, observation.frame, True
         if not self._is_open:
             return rows
-        if self._behaviour is not None and estimate.t == self._t:
+        if self._behaviour is not None and abs(estimate.t - self._t) <= TIME_TOLERANCE:
             self._people[track_id] = numbers_of(estimate)
-        if self._forecaster is not None and observation.t == self._t:
+        if self._forecaster is not None and abs(observation.t - self._t) <= TIME_TOLERANCE:
             at = observation.position
             x, y = estimate.position.tolist() if at is None else at
             given = (observation.position_std, observation.head)
@@ -235,6 +235,7 @@ class TrackAnswers(Answering):
     bounds : limits of what is kept
     of_scene : makes the other members: `EndedFrames` if groups, attention or forecasts are requested, and
         `Conversations` of a model with groups
+    unused : as in `UnknownKeys`
 
     Attributes
     ----------
@@ -249,8 +250,9 @@ class TrackAnswers(Answering):
         note: Callable[[str], None] = print,
         bounds: StreamBounds = StreamBounds(),
         of_scene: Callable[[], dict[str, Saved]] = dict,
+        unused: Collection[str] = (),
     ) -> None:
-        super().__init__(fps, note)
+        super().__init__(fps, note, unused=unused)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._waiting = dict[int, _Waiting]()
         self.clock = StreamClock(bounds.jump)
@@ -280,6 +282,7 @@ class TrackAnswers(Answering):
                 if cells is None:
                     pairs = self.pairs_of(line)
                     cells = read_cells(pairs)
+                self._unknown_keys.check_used(cells)
                 self._take(cells["track_id"], observation_of(cells, self.fps), found[-1])
             except InputError as error:
                 found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
@@ -428,6 +431,7 @@ class Frame(Saved):
         self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None, jump: float = PLAUSIBLE
     ) -> None:
         self.tracker, self.behaviour, self.clock = tracker, behaviour, StreamClock(jump)
+        tracker.unused = ()  # the stream itself notes keys that are not used
         self.t: float | None = None
         self.number: int | None = None
         self.observations: list[Observation] = []
@@ -460,6 +464,7 @@ class Scenes(Answering):
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
     bounds : limits of what is kept
+    unused : as in `UnknownKeys`
 
     Attributes
     ----------
@@ -476,8 +481,9 @@ class Scenes(Answering):
         horizon: tuple[float, float] | None = None,
         asked: Asked | None = None,
         bounds: StreamBounds = StreamBounds(),
+        unused: Collection[str] = (),
     ) -> None:
-        super().__init__(fps, note, ("stream", "end"))
+        super().__init__(fps, note, ("stream", "end"), unused)
         self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
         self._bounds = bounds
 
@@ -514,6 +520,7 @@ class Scenes(Answering):
     def _detection(self, pairs: Pairs) -> tuple[Observation, int | None]:
         """Return a row as an observation, and its frame number."""
         cells = read_cells(pairs, ("track_id", "frame"))
+        self._unknown_keys.check_used(cells)
         if cells.get("track_id", -1) != -1 and not self._forget:
             found = f"a row of track {cells['track_id']} among detections without identity"
             raise InputError(found, "rows with identities alone, or --associate always", column="track_id")
@@ -528,14 +535,14 @@ class Scenes(Answering):
         """Process a detection, or the end of a frame, if its time is plausible or confirmed."""
         frame = self._known(name)
         verdict = frame.clock.verdict(one.t)
-        if verdict == "plausible" and frame.t is not None and one.t < frame.t:
+        if verdict == "plausible" and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
             column = "end" if is_end else "t"
-            raise InputError(f"{column} = {one.t:g}", f"a time from {frame.t:g} on", column=column)
+            raise InputError(f"{column} = {one.t:.15g}", f"a time from {frame.t:.15g} on", column=column)
         if not is_end:
             one = frame.tracker.on_the_ground(one, one.t)
             size = frame.tracker.descriptor_size
             descriptors_of([one] if size else [*frame.observations, one], size)
-            if len(frame.observations) >= MOST_DETECTIONS and one.t == frame.t:
+            if len(frame.observations) >= MOST_DETECTIONS and not self._is_after(frame, one.t):
                 raise InputError(f"one more than {MOST_DETECTIONS} detections", "a later time", column="t")
         if verdict == "plausible":
             frame.tracker.check_time(one.t)
@@ -547,9 +554,9 @@ class Scenes(Answering):
             return [_of_stream(name) | {"end": one.t} | counts]
         rows = self._confirm(name, frame) if verdict == "confirmed" else []
         frame.clock.advance(one.t)
-        if frame.t is not None and one.t > frame.t:
+        if self._is_after(frame, one.t):
             rows += self._flush(name)
-        frame.t = one.t
+        frame.t = one.t if frame.t is None else frame.t
         if is_end:
             return rows + self._flush(name) + self._forget_streams(frame)
         frame.number = number
@@ -614,6 +621,11 @@ class Scenes(Answering):
             newest.numbered = max(newest.numbered, frame.tracker.next_number - 1)
             del self.members[name]
         return rows
+
+    @staticmethod
+    def _is_after(frame: Frame, t: float) -> bool:
+        """Return True if a time (seconds) is after the current frame."""
+        return frame.t is not None and t > frame.t + TIME_TOLERANCE
 
     def _flush(self, name: Name) -> list[dict[str, Any]]:
         """Pass the ended frame to the tracker, and return its people."""

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from graphtrack.inference.state import pack_observation, unpack_observation
-from graphtrack.kernels.layout import TIME_TOLERANCE
 from graphtrack.model import Observation
 from graphtrack.saved import Saved, integer, real
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 PLAUSIBLE = 60.0
 """Least distance (seconds) from a stream's newest time from which the time of a row is implausible."""
@@ -44,7 +44,7 @@ class StreamClock(Saved):
         limit = self.limit + TIME_TOLERANCE
         if self.now is None or abs(t - self.now) <= limit:
             return "plausible"
-        confirms = bool(self.waiting) and 0.0 < t - self.waiting[0][1].t <= limit
+        confirms = bool(self.waiting) and TIME_TOLERANCE < t - self.waiting[0][1].t <= limit
         return "confirmed" if confirms else "unconfirmed"
 
     def advance(self, t: float) -> None:
@@ -71,7 +71,7 @@ class StreamClock(Saved):
 
     def wait(self, key: int | None, observation: Observation, most: int) -> None:
         """Add an unconfirmed row to the waiting ones of the same time, of which at most ``most`` are kept."""
-        if self.waiting and self.waiting[0][1].t != observation.t:
+        if self.waiting and abs(self.waiting[0][1].t - observation.t) > TIME_TOLERANCE:
             self.waiting = []
         if len(self.waiting) < most:
             self.waiting.append((key, observation))

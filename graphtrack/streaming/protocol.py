@@ -41,11 +41,22 @@ class UnknownKeys:
     ----------
     note : receives the messages
     known : keys that are read in addition to those of the native table
+    unused : keys of the native table that are not used
     """
 
-    def __init__(self, note: Callable[[str], None], known: Collection[str] = ()) -> None:
+    def __init__(
+        self, note: Callable[[str], None], known: Collection[str] = (), unused: Collection[str] = ()
+    ) -> None:
         self._note, self._known = note, known
         self._unknown: set[str] = set()
+        self._unused = frozenset(unused)
+
+    def check_used(self, names: Collection[str]) -> None:
+        """Report keys of a row that are read and not used, once each."""
+        if self._unused and not self._unused.isdisjoint(names):
+            for name in sorted(self._unused.intersection(names)):
+                self._note(f"key {name!r} is not used")
+            self._unused = self._unused.difference(names)
 
     def __call__(self, pairs: Pairs) -> None:
         """Report unknown keys of a line."""
@@ -62,8 +73,8 @@ class Answering:
     Parameters
     ----------
     fps : frames a second, for rows without a time
-    note : called with a sentence on each unknown key and on jumps of the time
-    known : keys that are read in addition to those of the native table
+    note : called with a sentence on each unknown key, and on times that jump
+    known, unused : as in `UnknownKeys`
 
     Attributes
     ----------
@@ -72,8 +83,14 @@ class Answering:
     before_change : called with a key before its member changes
     """
 
-    def __init__(self, fps: float | None, note: Callable[[str], None], known: Collection[str] = ()) -> None:
-        self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known)
+    def __init__(
+        self,
+        fps: float | None,
+        note: Callable[[str], None],
+        known: Collection[str] = (),
+        unused: Collection[str] = (),
+    ) -> None:
+        self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known, unused)
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda key: None
@@ -138,7 +155,7 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         t,
         cells["frame"],
         _pair(cells, "x", "y"),
-        get("pos_std"),
+        get("pos_std") or _of_axes(cells),
         _pair(cells, "u", "v"),
         None if body is None else _angle(body),
         get("body_kappa"),
@@ -149,6 +166,13 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         get("score"),
         _inputs(cells),
     )
+
+
+def _of_axes(cells: dict[str, Any]) -> float | None:
+    """Return the root mean square of x_std and y_std, as `given.position_noise`; None without them."""
+    if "x_std" not in cells or "y_std" not in cells:
+        return None
+    return math.hypot(cells["x_std"], cells["y_std"]) / math.sqrt(2.0)
 
 
 def _classes(cells: dict[str, Any], name: str) -> tuple[float, ...] | None:

@@ -17,17 +17,19 @@ from typing import IO, Any
 
 import numpy as np
 
+from graphtrack.association.offline import make_association_ready
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import Forecaster, times_ahead
+from graphtrack.forecasting.forecaster import Forecaster, make_forecasts_ready, times_ahead
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.interaction import attention
+from graphtrack.interaction.attention import make_attention_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
+from graphtrack.model.given import EVIDENCE, unused_columns
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
@@ -105,6 +107,7 @@ class Answers:
             note,
             self._bounds,
             self._of_scene,
+            unused_columns(self.model, self.camera),
         )
 
     @property
@@ -151,6 +154,7 @@ class Answers:
             horizon=self.horizon,
             asked=self.asked,
             bounds=self._bounds,
+            unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
         )
 
     def restored_scene(self, key: Any, saved: Any) -> Frame:
@@ -166,17 +170,22 @@ class Answers:
         found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         return found | ({} if self.asked is None else self.asked.settings())
 
-    def warm_up(self) -> None:
-        """Load or compile the kernels, so that no answer waits for it."""
+    def warm_up(self, *, detections: bool) -> None:
+        """Load or compile the kernels, so that no answer waits for it.
+
+        ``detections``: those of data association too
+        """
         engine = online_engine(self.model, self.engine)
         if engine == "chain" or self.model.has_modes:
             make_online_ready(self.model, engine)
             if self.walkable is not None:
                 make_online_ready(self.model.with_terms(StaysInside), engine)
+        if detections:
+            make_association_ready()
         if self.asked is not None or self.model.has_groups:
-            attention.make_behaviour_ready()
+            make_attention_ready()
         if self.horizon is not None:
-            attention.make_behaviour_ready(groups=False, forecasts=True)
+            make_forecasts_ready()
 
 
 @dataclass(frozen=True)
@@ -233,7 +242,7 @@ def track_stream(
         If standard input or output is closed, or the state cannot be used or kept.
     """
     stream = open_streams()
-    answers.warm_up()
+    answers.warm_up(detections=answers.associate == "always")
     nobody = answers.people()  # answers rows before their kind is known
 
     def emit(row: Row) -> None:

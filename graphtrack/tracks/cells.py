@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,6 +33,7 @@ from graphtrack.tracks.time import (
     Plane,
     TimeScale,
     check_time_unit,
+    distinct_times,
     from_dates,
     from_numbers,
     from_text,
@@ -169,8 +169,29 @@ def cells_of_arrow(
     """Return the cells of a table, given its Arrow schema and a function that returns a column by name."""
     check_unique(schema.names, path)
     zones = {one.name: one.type.tz for one in schema if getattr(one.type, "tz", None) is not None}
-    columns = Columns(schema.names, lambda name: _of_arrow(column(name)))
-    return Cells(path, format, columns, lambda row: first_row + row + 1, zones)
+
+    def cells(name: str) -> NDArray[Any]:
+        check_type(schema, name, path)
+        try:
+            return _of_arrow(column(name))
+        except UnicodeDecodeError as error:
+            raise InputError("bytes that are not UTF-8", "text", path=path, column=name) from error
+
+    return Cells(path, format, Columns(schema.names, cells), lambda row: first_row + row + 1, zones)
+
+
+def check_type(schema: Any, name: str, path: Path) -> None:
+    """Raise InputError for a column of an Arrow table with several values a cell, such as lists."""
+    import pyarrow as pa
+
+    kind = schema.field(name).type
+    of_cells = kind.value_type if pa.types.is_dictionary(kind) else kind
+    if not (pa.types.is_primitive(of_cells) or pa.types.is_decimal(of_cells) or str(of_cells) in _SIMPLE):
+        raise InputError(f"values of type {kind}", "numbers, text or dates", path=path, column=name)
+
+
+_SIMPLE = ("string", "large_string", "string_view", "binary", "large_binary", "null")
+"""Arrow's types of cells other than numbers and times."""
 
 
 def _of_arrow(column: Any) -> NDArray[Any]:
@@ -178,6 +199,11 @@ def _of_arrow(column: Any) -> NDArray[Any]:
     import pyarrow as pa
 
     kind = column.type
+    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
+        texts = [None if cell is None else cell.decode() for cell in column.to_pylist()]
+        return np.array(texts, dtype=object)
+    if pa.types.is_dictionary(kind) and pa.types.is_string(kind.value_type):
+        return _of_dictionary(column)
     if pa.types.is_dictionary(kind):
         column = column.cast(kind.value_type)
         kind = column.type
@@ -190,6 +216,15 @@ def _of_arrow(column: Any) -> NDArray[Any]:
     elif pa.types.is_string_view(kind) or pa.types.is_large_string(kind):
         column = column.cast(pa.string())
     return column.to_numpy(zero_copy_only=False) if len(column) else np.empty(0)
+
+
+def _of_dictionary(column: Any) -> NDArray[Any]:
+    """Return a column of encoded text as objects, None where empty; equal cells share an object."""
+    parts = [np.empty(0, dtype=object)]
+    for chunk in getattr(column, "chunks", [column]):
+        words = np.array([*chunk.dictionary.to_pylist(), None], dtype=object)
+        parts.append(words[chunk.indices.cast("int64").fill_null(-1).to_numpy(zero_copy_only=False)])
+    return np.concatenate(parts)
 
 
 def cells_of_frame(table: Any) -> Cells:
@@ -261,7 +296,17 @@ _LONGEST = 40  # characters of a cell that a message repeats
 
 def is_empty(cell: object) -> bool:
     """Return whether a cell is empty."""
-    return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
+    if cell is None or isinstance(cell, str):
+        return cell is None or not cell.strip()
+    differs = cell != cell
+    return isinstance(differs, bool | np.bool_) and bool(differs)
+
+
+def _is_real(cell: object) -> bool:
+    """Return whether a cell is a finite number, and not text, true or false, or a container."""
+    if isinstance(cell, str | bool) or not hasattr(cell, "__float__") or getattr(cell, "shape", ()) != ():
+        return False
+    return bool(abs(cell) <= sys.float_info.max)  # type: ignore[arg-type]
 
 
 def numbers(cells: Cells, name: str) -> FloatArray:
@@ -301,7 +346,7 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
             value = math.nan
         elif isinstance(cell, str):
             value = parse_number(cell)
-        elif not isinstance(cell, bool) and hasattr(cell, "__float__") and abs(cell) <= sys.float_info.max:
+        elif _is_real(cell):
             value = float(cell)
         if value is None:
             text = str(cell)
@@ -325,7 +370,7 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     known = [(row, cell) for row, cell in enumerate(values.tolist()) if not is_empty(cell)]
     text = [isinstance(cell, str) for _, cell in known]
     for (row, cell), is_text in zip(known, text, strict=True):
-        if not is_text and (isinstance(cell, bool) or not hasattr(cell, "__float__")):
+        if not is_text and not _is_real(cell):
             raise cells.fail(f"{str(cell)[:_LONGEST]!r}", "a number or text", row, name)
         if is_text != text[0]:
             found = f"the {'text' if is_text else 'number'} {str(cell)[:_LONGEST]!r} after "
@@ -456,9 +501,13 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
         return cells, layout
     found: dict[str, dict[str, str]] = {}
     for key, pattern in wild.items():
-        before, after = (re.escape(part) for part in pattern.split(WILD))
-        matches = {name: re.fullmatch(f"{before}(.+){after}", name) for name in cells.columns}
-        known = {match[1]: name for name, match in matches.items() if match}
+        before, after = pattern.split(WILD)
+        least = len(before) + len(after)
+        known = {
+            name[len(before) : len(name) - len(after)]: name
+            for name in cells.columns
+            if len(name) > least and name.startswith(before) and name.endswith(after)
+        }
         if not known:
             raise cells.fail("no such column", f"columns whose names match {pattern}", None, pattern)
         found[key] = known
@@ -606,9 +655,11 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
 
 def labels(cells: Cells, name: str) -> NDArray[Any]:
     """Return a column as (n,) texts, "" where it is empty."""
-    values = cells.columns[name]
-    texts = ["" if is_empty(cell) else str(cell) for cell in values.tolist()]
-    return np.array(texts, dtype=object)
+    values = cells.columns[name].tolist()
+    for row, cell in enumerate(values):
+        if isinstance(cell, list | tuple | dict | set | bytes | np.ndarray):
+            raise cells.fail(f"{str(cell)[:_LONGEST]!r}", "text", row, name)
+    return np.array(["" if is_empty(cell) else str(cell) for cell in values], dtype=object)
 
 
 def _on_the_ground(
@@ -684,7 +735,7 @@ def with_frames(
     t = columns["t"]
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
-    known, place = np.unique(t, return_inverse=True)
+    known, place = distinct_times(t)
     frames, how = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
     notes.append(f"no frames: {how}")

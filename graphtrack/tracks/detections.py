@@ -72,9 +72,19 @@ class Detections:
         return float(np.median(np.diff(self.t[first]) / np.maximum(np.diff(steps), 1)))
 
 
+_MOST, _MOST_TIMES = 1_000_000, 100  # frames, or times as many as there are with detections
+
+
 def with_those_between(frames: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the increasing frames (n,), with frames between them that have no detections."""
+    """Return the increasing frames (n,), with frames between them that have no detections.
+
+    Raise InputError if these are so many that the numbers cannot count time.
+    """
     step = frames_between(frames)
+    count = int(frames[-1] - frames[0]) // step if len(frames) else 0
+    if count > max(_MOST, _MOST_TIMES * len(frames)):
+        found = f"{len(frames)} frames from {frames[0]} to {frames[-1]}, {step} apart"
+        raise InputError(found, f"at most {_MOST_TIMES} times as many, or frame numbers that count time")
     between = [np.arange(a, b, step) for a, b in pairwise(frames.tolist())]
     return np.unique(np.concatenate([frames, *between]))
 

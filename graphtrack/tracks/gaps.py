@@ -7,12 +7,15 @@ posterior and not an interpolation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_FRAME, is_number
 
@@ -22,9 +25,13 @@ LONGEST_FILLED = 60.0
 LONGEST_BETWEEN = 1.0
 """Seconds between two sightings up to which positions between them are interpolated."""
 
-_MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
+_MOST_FILLED, _MOST_TIMES = 1_000_000, 100
+"""Rows with filled gaps: at most so many, or so many times as many as without."""
 
-_SAME_TIME = 1e-6  # seconds within which two times are equal
+FASTEST = 10.0
+"""Frames a second of a gap that is filled, times the usual ones: other frame numbers do not count time."""
+
+_MOST_ROWS = 20_000_000  # most rows of all tracks after resampling
 
 
 def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
@@ -32,7 +39,8 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
 
     A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
     steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
-    the gap.
+    the gap. A gap whose frames would follow each other ten times faster than the frames around it is left,
+    since its frame numbers do not count time.
 
     Parameters
     ----------
@@ -46,21 +54,50 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     steps = [np.diff(track.frame) for track in tracks if len(track) > 1]
     if not steps:
         return tracks
-    usual = float(np.median(np.concatenate(steps)))
-    return tracks.map(lambda track: _filled(track, usual, longest))
+    usual, rate = float(np.median(np.concatenate(steps))), usual_rate((one.frame, one.t) for one in tracks)
+    gaps = {one.track_id: _gaps(one, usual, rate, longest) for one in tracks}
+    n_frames = sum(len(one) + int(_sizes(one, *gaps[one.track_id]).sum()) for one in tracks)
+    most = max(_MOST_FILLED, _MOST_TIMES * tracks.n_frames)
+    if n_frames > most:
+        found = f"{n_frames:,} rows with filled gaps, for {tracks.n_frames:,}"
+        raise InputError(found, f"at most {most:,}; --no-fill leaves the gaps")
+    return tracks.map(lambda track: _filled(track, *gaps[track.track_id]))
 
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
     """Return the number of gaps that `filled` leaves because they are longer than ``longest`` seconds."""
-    return sum(int((np.diff(track.t) > longest).sum()) for track in tracks)
+    return sum(int((np.diff(track.t) > longest + TIME_TOLERANCE).sum()) for track in tracks)
 
 
-def _filled(track: Track, usual: float, longest: float) -> Track:
+def gaps_without_time(tracks: TrackSet) -> int:
+    """Return the number of gaps that `filled` leaves because their frame numbers do not count time."""
+    rate = usual_rate((one.frame, one.t) for one in tracks)
+    return sum(int((np.diff(one.frame) > FASTEST * rate * np.diff(one.t)).sum()) for one in tracks)
+
+
+def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
+    """Return the median of frame numbers a second between rows, given their frames and seconds (n,)."""
+    rates = np.concatenate([np.empty(0), *(np.diff(frame) / np.diff(t) for frame, t in rows)])
+    return float(np.median(rates)) if len(rates) else 0.0
+
+
+def _gaps(track: Track, usual: float, rate: float, longest: float) -> tuple[NDArray[np.int64], int]:
+    """Return the indices of the rows before the gaps of a track, and its step in frame numbers."""
     if len(track) < 2:
-        return track
-    apart = np.diff(track.frame)
+        return np.empty(0, dtype=np.int64), 1
+    apart, seconds = np.diff(track.frame), np.diff(track.t)
     step = max(1, round(min(float(np.median(apart)), usual)))
-    gaps = np.flatnonzero((apart > 1.5 * step) & (np.diff(track.t) <= longest))
+    is_short = (seconds <= longest + TIME_TOLERANCE) & (apart <= FASTEST * rate * seconds)
+    return np.flatnonzero(is_short & (apart > 1.5 * step)), step
+
+
+def _sizes(track: Track, gaps: NDArray[np.int64], step: int) -> NDArray[np.int64]:
+    return np.diff(track.frame)[gaps] // step
+
+
+def _filled(track: Track, gaps: NDArray[np.int64], step: int) -> Track:
+    if not len(gaps):
+        return track
     between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
     frame = np.unique(np.concatenate([track.frame, *between]))
     return with_rows(track, frame, np.interp(frame, track.frame, track.t))
@@ -95,7 +132,7 @@ def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
-        on = np.abs((track.t - origin) - ticks / hz) <= _SAME_TIME
+        on = np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE
         return replace(track[on], frame=ticks[on].astype(np.int64))
 
     return tracks.map(select)
@@ -103,11 +140,11 @@ def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
 
 def _at_rate(track: Track, origin: float, hz: float) -> Track:
     begin, end = track.t[0] - origin, track.t[-1] - origin
-    ticks = np.arange(math.ceil(begin * hz - _SAME_TIME * hz), math.floor(end * hz + _SAME_TIME * hz) + 1)
+    ticks = np.arange(math.ceil((begin - TIME_TOLERANCE) * hz), math.floor((end + TIME_TOLERANCE) * hz) + 1)
     times = origin + ticks / hz
     after = np.clip(np.searchsorted(track.t, times), 0, len(track) - 1)
     apart = np.minimum(np.abs(times - track.t[after]), np.abs(times - track.t[np.maximum(after - 1, 0)]))
-    t = np.sort(np.concatenate([track.t, times[apart > _SAME_TIME]]))
+    t = np.sort(np.concatenate([track.t, times[apart > TIME_TOLERANCE]]))
     renumbered = replace(track, frame=np.searchsorted(t, track.t).astype(np.int64))
     return with_rows(renumbered, np.arange(len(t)), t)
 
@@ -151,10 +188,11 @@ def positions_at(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatAr
     if known.sum() < 2:
         return np.full((*at.shape, 2), np.nan)
     t, position = t[known], position[known]
-    after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
+    after = np.clip(np.searchsorted(t, at - TIME_TOLERANCE), 1, len(t) - 1)
+    since, until = at - t[after - 1], t[after] - at
     apart = t[after] - t[after - 1]
-    share = (at - t[after - 1]) / apart
-    inside = (share > -1e-6) & (share < 1.0 + 1e-4)
-    inside &= (apart <= LONGEST_BETWEEN) | (np.abs(share - 1.0) < 1e-4) | (np.abs(share) < 1e-4)
+    share = since / apart
+    inside = (since > -TIME_TOLERANCE) & (until > -TIME_TOLERANCE)
+    inside &= (apart <= LONGEST_BETWEEN + TIME_TOLERANCE) | (np.minimum(since, until) < TIME_TOLERANCE)
     found = position[after - 1] + share[..., None] * (position[after] - position[after - 1])
     return np.where(inside[..., None], found, np.nan)

@@ -133,15 +133,20 @@ def unknown(names: Iterable[str]) -> list[str]:
 _INPUT_COLUMN = re.compile(
     rf"({INPUT}[A-Za-z][A-Za-z0-9_]*?|{APPEARANCE})(?:_(0|[1-9][0-9]{{0,5}}))?", re.ASCII
 )
-_INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
+_LONGEST_NAME = 200  # characters of the longest name of a column
+_INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]{0,179}", re.ASCII)
 
-INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
+INPUT_NAME = "up to 180 letters, digits and _, a letter first, and no number after the last _"
 """Allowed names of inputs, in words: a trailing number is that of a column."""
 
 
-@lru_cache(1024)
 def numeric(name: str) -> Column | None:
     """Return the column of numbers of that name, including inputs; None if the table has none."""
+    return _numeric(name) if len(name) <= _LONGEST_NAME else None
+
+
+@lru_cache(1024)
+def _numeric(name: str) -> Column | None:
     match = _INPUT_COLUMN.fullmatch(name)
     if match is None:
         return BY_NAME.get(name)

@@ -1,4 +1,4 @@
-"""Times of tables (counts of a unit, ISO 8601 text, dates) in seconds, and places on the earth in metres.
+"""Times: equality of seconds, their forms in tables (counts, ISO 8601 text, dates), and places on the earth.
 
 Seconds of dates and of epochs count from the midnight (UTC) before the first, since a double that counts from
 1970 has no digits left below a microsecond. Places need the package pyproj (extra ``geo``).
@@ -18,6 +18,24 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import package
+
+TIME_TOLERANCE = 1e-5
+"""Seconds by which equal times, and equal durations, may differ: doubles that count from 1970 are 2.4e-7 s
+apart, and files round times to microseconds. Frames are further apart. Comparisons of times allow for it, so
+that no result depends on where time begins."""
+
+
+def distinct_times(t: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the distinct times (k,), ascending, and the index among them of each time (n,).
+
+    Times within `TIME_TOLERANCE` of the one before are one time, of which the earliest is returned.
+    """
+    order = np.argsort(t, kind="stable")
+    begins = np.diff(t[order], prepend=-np.inf) > TIME_TOLERANCE
+    place = np.empty(len(t), np.int64)
+    place[order] = np.cumsum(begins) - 1
+    return t[order][begins], place
+
 
 NANOSECONDS_IN = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Unit of time → nanoseconds."""

@@ -236,7 +236,9 @@ class Track:
         return np.diff(self.t, prepend=self.t[:1])
 
     def __getitem__(self, index: slice | NDArray[Any]) -> Track:
-        """Return the track at some of the frames."""
+        """Return the track at some of the frames; InputError for a single index."""
+        if isinstance(index, int | np.integer):
+            raise InputError(f"track[{index}]", f"frames, such as track[{index}:{int(index) + 1}]")
         parts: dict[str, Any] = {
             f.name: getattr(self, f.name)[index]
             for f in fields(self)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,7 +13,10 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
+from graphtrack.io.text import trailing_number
+from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import LARGEST_FRAME
+from graphtrack.tracks.validation import parse_number
 from perception.detection.boxes import Detections
 from perception.pose.keypoints import BY_NUMBER, KNOWN, coco_indices, in_coco_order
 
@@ -119,15 +121,15 @@ def _what(data: Any) -> str:
 
 def _number_of(path: Path, name: str, frame_of: _FrameOf) -> int:
     """Return the frame of an image or file with this name without suffix."""
-    stem = re.sub(r"_keypoints$", "", name)
+    stem = name.removesuffix("_keypoints")
     known = frame_of(stem)
     if known is not None:
         return known
-    digits = re.search(r"(\d+)$", stem)
-    if digits is None:
-        found = f"a name without a frame's number, {name!r}"
+    number = trailing_number(stem)
+    if number is None:
+        found = f"a name without a frame's number, {shortened(name)}"
         raise InputError(found, "names that end in numbers, or are those of the images", path=path)
-    return _frame(int(digits[1]), path, name)
+    return _frame(number, path, shortened(name))
 
 
 def _frame(value: object, path: Path, place: str) -> int:
@@ -149,18 +151,22 @@ def _of_coco(
     path: Path, entries: object, document: Mapping[str, Any], frame_of: _FrameOf
 ) -> Iterator[_Person]:
     images = {
-        item.get("id"): str(item.get("file_name", item.get("id")))
+        item["id"]: str(item.get("file_name", item["id"]))
         for item in _entries(document.get("images", []), path, "images")
+        if isinstance(item.get("id"), int | str)
     }
-    names = next(
-        (item["keypoints"] for item in _entries(document.get("categories", []), path, "categories")
-         if item.get("keypoints")), None
-    )  # fmt: skip
+    categories = _entries(document.get("categories", []), path, "categories")
+    names = next((item["keypoints"] for item in categories if item.get("keypoints")), None)
+    if names is not None and not (isinstance(names, list) and all(isinstance(one, str) for one in names)):
+        raise InputError(
+            "names of keypoints that are no texts", "COCO's names (nose, left_eye, …)", path=path
+        )
     for k, item in enumerate(_entries(entries, path, "entries")):
         if "keypoints" not in item:
             raise InputError(f"entry {k} without keypoints", _EXPECTED, path=path)
         image = item.get("image_id")
-        name = images.get(image, image if isinstance(image, str) else None)
+        known = images.get(image) if isinstance(image, int | str) else None
+        name = image if known is None and isinstance(image, str) else known
         frame = (
             _frame(image, path, f"entry {k}") if name is None else _number_of(path, Path(name).stem, frame_of)
         )
@@ -175,7 +181,8 @@ def _of_mmpose(path: Path, frames: object, notes: object, *, from_one: bool) -> 
     names = None
     if isinstance(notes, dict) and isinstance(notes.get("keypoint_id2name"), dict):
         named = notes["keypoint_id2name"]
-        names = [str(named[key]) for key in sorted(named, key=int)]
+        numbers_of = {key: parse_number(key) for key in named}
+        names = [str(named[key]) for key in sorted(named, key=lambda key: numbers_of[key] or 0.0)]
     start = 1 if from_one and min(numbers, default=0) == 1 else 0
     for number, item in zip(numbers, entries, strict=True):
         yield from _of_instances(path, item.get("instances"), number - start, names)
@@ -210,7 +217,7 @@ def _entries(values: object, path: Path, name: str) -> list[dict[str, Any]]:
 def _array(values: object, path: Path, place: str) -> FloatArray:
     try:
         return np.array(values, float)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{place}: something else", "numbers", path=path) from error
 
 

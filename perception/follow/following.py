@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
@@ -17,8 +16,8 @@ from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
 from perception.detection.hog import PeopleDetector
 from perception.follow.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
-from perception.images.frames import Clock, Frame, FrameSource, of_one_size, seconds
-from perception.images.pixels import Image, as_uint8, crop
+from perception.images.frames import Clock, Frame, FrameSource, of_one_size, read_image, seconds
+from perception.images.pixels import Image, crop
 from perception.models import load_head_localiser
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
@@ -84,10 +83,10 @@ def background_images(path: str | Path) -> list[Image]:
     path = Path(path)
     found = []
     for file in FrameSource.files(path):
-        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        image = read_image(file)
         if image is None:
             raise InputError("no image that can be decoded", "an image of the background", path=file)
-        found.append(as_uint8(np.asarray(image)))
+        found.append(image)
     if not found:
         raise InputError("a folder without images", "images of the background", path=path)
     return found

@@ -7,6 +7,7 @@ only files with the signature of a video are passed to it.
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -16,9 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+from PIL import Image as Headers
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.limits import MemoryLimit
 from graphtrack.tracks.schema import LARGEST_FRAME
 from perception.images.pixels import Image, as_uint8
 
@@ -340,21 +343,51 @@ def _from_folder(folder: Path, wanted: Callable[[int], bool]) -> Iterator[Frame]
         if not wanted(number):
             continue
         try:
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        except cv2.error:  # more pixels than OpenCV accepts
-            image = None
-        if image is None:
-            yield Frame(number, None, f"{path.name} cannot be decoded")
-            continue
-        try:
-            yield Frame(number, as_uint8(np.asarray(image)))
+            image = read_image(path)
+            yield Frame(number, image, f"{path.name} cannot be decoded" if image is None else "")
         except InputError as error:
-            yield Frame(number, None, f"{path.name}: {error}")
+            yield Frame(number, None, f"{path.name}: {error.found}")
+
+
+PIXEL_BYTES = 12
+"""Memory of a decoded pixel: as the file has it, as 8 bits of three colours, and copies of these."""
+
+
+def check_pixels(path: Path, columns: float, rows: float) -> None:
+    """Raise InputError for an image of so many pixels that it takes more memory than a file may."""
+    MemoryLimit(path).check(PIXEL_BYTES * columns * rows, f"an image of {columns:.0f} × {rows:.0f} pixels")
+
+
+def read_image(path: Path) -> Image | None:
+    """Return an image (h, w, 3); None if it cannot be decoded.
+
+    Raises
+    ------
+    InputError
+        For an image of too many pixels, or with others than 8 or 16 bits.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Headers.DecompressionBombWarning)  # the limit is checked here
+            with Headers.open(path) as header:  # which decodes nothing
+                check_pixels(path, *header.size)
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except Headers.DecompressionBombError as error:
+        raise InputError("an image of too many pixels", "a smaller one", path=path) from error
+    except (OSError, ValueError, SyntaxError, cv2.error):
+        return None
+    return None if image is None else as_uint8(np.asarray(image))
 
 
 def _capture(path: Path) -> cv2.VideoCapture:
     """Open a video by its absolute path, since FFmpeg interprets "name:" as a protocol."""
-    return cv2.VideoCapture(str(path.absolute()))
+    video = cv2.VideoCapture(str(path.absolute()))
+    try:
+        check_pixels(path, video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    except InputError:
+        video.release()
+        raise
+    return video
 
 
 def _length(path: Path) -> int:

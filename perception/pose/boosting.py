@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import kept
 from perception.pose.features import BINS, block_corners, grid_lines
 
 LEVELS = 32
@@ -61,7 +61,7 @@ def reweighted(
     return np.asarray(grown / grown.sum(), float)
 
 
-@njit(cache=True)
+@kept()
 def _best(codes: Any, signed: Any) -> Any:
     """Return feature, level and edge Σ w·y·h of the stump sign(code > level) with the largest |edge|."""
     best, feature, level = 0.0, 0, 0
@@ -192,7 +192,7 @@ def _fisher_directions(
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True), np.float32)
 
 
-@njit(cache=True)
+@kept()
 def _scores(
     integral: Any,
     rows: Any,

@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import kept
 from perception.images.pixels import Image, grey_stack
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier, split
@@ -228,7 +228,7 @@ def _best_exponents(
     return np.exp(minimize(loss, start, method="Nelder-Mead", options={"maxfev": _SEARCH}).x)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract", "nsz", "nnan"})
+@kept(fastmath={"reassoc", "contract", "nsz", "nnan"})
 def _log_densities(z: Any, centre: Any, inverse: Any, floor: Any, filters: int) -> Any:
     """Σ max(−½((z_i − e_ki)/σ_ki)², floor) over the responses of each filter: (n, classes, k, filters).
 

@@ -16,12 +16,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import linalg, ndimage
 from scipy.special import j0
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import kept
 from perception.images.pixels import Image
 
 BINS = 9
@@ -144,7 +144,7 @@ def block_histograms(corners: NDArray[np.float32], *, normalised: bool = True) -
     return np.asarray(sums / (sums.sum(axis=2, keepdims=True) + 1.0) if normalised else sums, np.float32)
 
 
-@njit(cache=True)
+@kept()
 def _integral(across: Any, down: Any) -> Any:
     h, w = across.shape
     sums = np.zeros((h + 1, w + 1, BINS + 1), np.float32)

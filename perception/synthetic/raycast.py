@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.kernels.compilation import Rehearsal, make_ready
+from graphtrack.kernels.compilation import Rehearsal, kept, make_ready
 from perception.synthetic.solids import BOX, CHECKED, SKIN, SPECKLED, STRIPED, TUBE, Solids
 
 _FAR = 1e9
@@ -61,7 +60,7 @@ class _Packed(NamedTuple):
         )
 
 
-@njit(cache=True, inline="always")
+@kept(inline="always")
 def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, radius: float) -> bool:
     """Return True if the half line along d from the origin intersects the sphere around (x, y, z)."""
     along = x * dx + y * dy + z * dz
@@ -69,13 +68,13 @@ def _misses_ball(dx: float, dy: float, dz: float, x: float, y: float, z: float, 
     return outside > 0.0 and (along <= 0.0 or along * along < outside)
 
 
-@njit(cache=True)
+@kept()
 def _to_local(inverse: Any, x: float, y: float, z: float, out: Any) -> None:
     for i in range(3):
         out[i] = inverse[i, 0] * x + inverse[i, 1] * y + inverse[i, 2] * z
 
 
-@njit(cache=True)
+@kept()
 def _hit(kind: int, p: Any, q: Any, clip: Any, local: Any, normal: Any) -> float:
     """Distance along the ray p + t·q in local coordinates, 1e9 if missed.
 
@@ -112,7 +111,7 @@ def _hit(kind: int, p: Any, q: Any, clip: Any, local: Any, normal: Any) -> float
     return _FAR
 
 
-@njit(cache=True)
+@kept()
 def _hit_box(p: Any, q: Any, local: Any, normal: Any) -> float:
     near, far, axis = -_FAR, _FAR, 0
     for i in range(3):
@@ -135,7 +134,7 @@ def _hit_box(p: Any, q: Any, local: Any, normal: Any) -> float:
     return near
 
 
-@njit(cache=True, inline="always")
+@kept(inline="always")
 def _noise(x: float, y: float, z: float) -> float:
     """Noise in −1…1, constant on unit cells."""
     i = int(np.floor(x)) * 73856093 ^ int(np.floor(y)) * 19349663 ^ int(np.floor(z)) * 83492791
@@ -144,7 +143,7 @@ def _noise(x: float, y: float, z: float) -> float:
     return i / 32767.5 - 1.0
 
 
-@njit(cache=True)
+@kept()
 def _textured(texture: Any, local: Any) -> float:
     """Factor of the albedo at a local point."""
     kind, contrast, periods = int(texture[0]), texture[1], texture[2]
@@ -158,7 +157,7 @@ def _textured(texture: Any, local: Any) -> float:
     return 1.0
 
 
-@njit(cache=True)
+@kept()
 def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
     """Return True if a solid lies between a point and the light."""
     lx, ly, lz = toward
@@ -178,7 +177,7 @@ def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
     return False
 
 
-@njit(cache=True)
+@kept()
 def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light: Any, floor: Any) -> Any:
     """Follow each ray to the first surface and shade it; see `raycast.cast` for the output."""
     kind, centre, inverse, radius = solids.kind, solids.centre, solids.inverse, solids.radius

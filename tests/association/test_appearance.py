@@ -193,11 +193,11 @@ def test_it_goes_on_with_looks_and_scores_to_the_last_bit() -> None:
 def test_descriptors_of_another_size_and_bad_scores_change_nothing() -> None:
     tracker = gt.OnlineTracker("position")
 
-    def seen(size: int, **more: float) -> gt.Observation:
-        return gt.Observation(0.0, position=(0.0, 0.0), inputs={"appearance": (0.5,) * size}, **more)
+    def seen(size: int, t: float = 1.2, **more: float) -> gt.Observation:
+        return gt.Observation(t, position=(0.0, 0.0), inputs={"appearance": (0.5,) * size}, **more)
 
     for k in range(3):
-        tracker.update(0.4 * k, [seen(3)])
+        tracker.update(0.4 * k, [seen(3, 0.4 * k)])
     before = json.dumps(tracker.state())
     for wrong, told in (
         ([seen(4)], "a descriptor of 4 numbers"),

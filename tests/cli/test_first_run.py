@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
+from graphtrack.association import offline
 from graphtrack.cli import main
 from graphtrack.inference import engines
 from graphtrack.kernels import compilation
@@ -30,6 +31,8 @@ def cold(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     gt.write(gt.simulate("joint", n_tracks=2, n_steps=5, rng=np.random.default_rng(0)), "tracks.csv")
     gt.write(gt.read("tracks.csv"), "tracks.parquet")
+    table = gt.read("tracks.csv").to_table()[["frame", "t", "x", "y"]]
+    table.sort_values("frame").to_csv("detections.csv", index=False)
     clock, known = [0.0], set()
 
     def make_ready(what, *rehearsals):
@@ -39,7 +42,7 @@ def cold(tmp_path, monkeypatch):
             clock[0] += 60.0
             logging.getLogger("graphtrack").warning(SAID)
 
-    for module in (compilation, engines):
+    for module in (compilation, engines, offline):
         monkeypatch.setattr(module, "make_ready", make_ready)
     ticks = count()
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0] + 1e-6 * next(ticks))
@@ -70,6 +73,12 @@ def test_compiling_is_told_and_counts_as_nobodys_time(cold, monkeypatch, capsys,
     said = run(monkeypatch, capsys, line).err
     assert said.count(SAID) == 1
     assert float(re.search(seconds, said)[1]) < 0.1
+    assert SAID not in run(monkeypatch, capsys, line).err
+
+
+@pytest.mark.parametrize("line", ["smooth detections.csv -o out.csv", "track detections.csv -o out.csv"])
+def test_association_and_solver_are_compiled_and_reported_each(cold, monkeypatch, capsys, line):
+    assert run(monkeypatch, capsys, line).err.count(SAID) == 2
     assert SAID not in run(monkeypatch, capsys, line).err
 
 

@@ -220,7 +220,7 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
         estimate = smoother.update(observation)
         assert_same(estimate, plain.update(observation), 0.0)
         repeated = smoother.update(observation)
-        again = smoother.update(replace(observation, position=(99.0, 99.0)))
+        again = smoother.update(Observation(t=observation.t, position=observation.position))
         old = smoother.update(Observation(t=start - 0.05, position=(0.0, 0.0)))
         assert (repeated.status, again.status, old.status) == ("duplicate", "duplicate", "too-late")
         for unchanged in (repeated, again, old):

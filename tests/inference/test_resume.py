@@ -223,14 +223,14 @@ def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None
 
 
 def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
-    """By a frame that comes next to at once after another, far away."""
+    """By a position whose information exceeds a double."""
     alone, joined = ([OnlineSmoother("joint") for _ in range(3)] for _ in range(2))
     for k in range(5):
         for person in range(3):
             seen = Observation(0.1 * k, k, (0.1 * k, float(person)))
             alone[person].update(seen), joined[person].update(seen)
     before = joined[1].state()
-    bad = Observation(0.4 + 1e-12, 5, (1e8, 1.0))
+    bad = Observation(0.5, 5, (1e8, 1.0), position_std=1e-150)
     seen = [Observation(0.5, 5, (0.5, 0.0)), bad, Observation(0.5, 5, (0.5, 2.0))]
     found = OnlineSmoother.update_together(joined, seen)
     assert [one.status for one in found] == ["new", "failed", "new"]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from dataclasses import replace
 
+import first_calls
 import numpy as np
 import pytest
+from first_calls import machine_code
 from random_tracks import lens_camera, random_track
 from walks import walk
 
@@ -21,22 +25,10 @@ from graphtrack.interaction.people import people_at
 from graphtrack.learning import optimise
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.scenario import party
-from graphtrack.smoothing import smooth, track_online, warm_up
+from graphtrack.smoothing import WARMED, smooth, track_online, warm_up
 from graphtrack.tracks.track import TrackSet
 
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))
-
-
-def machine_code() -> dict[str, list[object]]:
-    """The signatures of every compiled function of the package that has been called."""
-    functions = [
-        value
-        for name, module in list(sys.modules.items())
-        if name.startswith("graphtrack.")
-        for value in list(vars(module).values())
-        if getattr(value, "signatures", None)
-    ]
-    return {f"{one.py_func.__module__}.{one.py_func.__name__}": list(one.signatures) for one in functions}
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])
@@ -103,6 +95,18 @@ def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:
         people = people_at(float(k), k, numbers)
         attention.take(people, groups.take(people))
     assert machine_code() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="each name has a process of its own")
+def test_each_function_is_made_ready_by_its_name() -> None:
+    done = subprocess.run([sys.executable, first_calls.__file__], capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [f"{name} compiles nothing" for name in WARMED]
+
+
+def test_unknown_functions_are_refused() -> None:
+    with pytest.raises(InputError, match="OnlineTracker"):
+        warm_up("joint", functions="Tracker")
 
 
 def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:

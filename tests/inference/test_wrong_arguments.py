@@ -75,13 +75,10 @@ def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> Non
     assert failed.reason == (
         "the estimate is not finite: position_std = 1e+08 in frame 0, expected 0.0001 to 1000"
     )
-    model, t = gt.Model("joint"), np.arange(N) * 0.1
-    t[10] = t[9] + 1e-9
-    assert "1e-09 s between the frames 9 and 10" in with_extreme("failed", track(t), model)
+    model = gt.Model("joint")
+    far = track(position_std=np.full(N, 2e4))
+    assert "position_std = 2e+04 in frame 0" in with_extreme("failed", far, model)
     assert with_extreme("failed", track(), model) == "failed"
-    (failed,) = gt.solve(track(np.arange(N) * 1e-9), model, engine="gtsam")
-    named = "the estimate is not finite: 1e-09 s between the frames 9 and 10, expected at least 1e-05 s"
-    assert failed.reason == named
 
 
 def test_a_linear_system_without_a_solution_is_told_in_a_few_words() -> None:
@@ -91,20 +88,9 @@ def test_a_linear_system_without_a_solution_is_told_in_a_few_words() -> None:
     assert with_extreme(said, track(), model) == (
         "the linear system has no unique solution: the factors do not determine b8"
     )
-    t = np.arange(N) * 0.1
-    t[10] = t[9] + 1e-9
-    assert with_extreme(said, track(t), model).startswith("the estimate is not finite: 1e-09 s between")
-    assert with_extreme("my factor failed", track(t), model).startswith("my factor failed: 1e-09 s between")
-
-
-def test_an_online_estimate_that_fails_names_the_input_that_made_it_so() -> None:
-    smoother = gt.OnlineSmoother("joint", engine="isam2")
-    estimates = [
-        smoother.update(gt.Observation(t=1e-9 * k, frame=k, position=(k * 0.1, 0.0))) for k in range(6)
-    ]
-    assert next(e.reason for e in estimates if e.status == "failed") == (
-        "the estimate is not finite: 1e-09 s between the frames 0 and 1, expected at least 1e-05 s"
-    )
+    far = track(position_std=np.full(N, 2e4))
+    assert with_extreme(said, far, model).startswith("the estimate is not finite: position_std = 2e+04")
+    assert with_extreme("my factor failed", far, model).startswith("my factor failed: position_std = 2e+04")
 
 
 def test_interrupts_at_any_time_end_quietly(tmp_path: Path) -> None:

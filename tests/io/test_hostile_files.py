@@ -131,3 +131,43 @@ def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> N
     for load in (gt.Model.load, gt.ForecastParameters.load, GroupParameters.load):
         with pytest.raises(InputError, match="brackets within brackets"):
             load(path)
+
+
+def test_labels_are_no_formulas_where_a_spreadsheet_is_asked_for(tmp_path: Path) -> None:
+    label = "=cmd|' /C calc'!A0"
+    path, sheet = tmp_path / "a.csv", tmp_path / "sheet.csv"
+    path.write_text("track_id,frame,t,x,y,label\n" + "".join(f'1,{k},{k},0,0,"{label}"\n' for k in range(3)))
+    done = run("convert", path, "-o", sheet, "--spreadsheet", program="graphtrack")
+    assert done.returncode == 0 and f"'{label}" in sheet.read_text()
+    assert gt.read(sheet).tracks[0].label == f"'{label}"
+    path.write_text("who,frame,t,x,y\n" + "".join(f"@anna,{k},{k},0,0\n" for k in range(3)))
+    done = run("convert", path, "-o", sheet, "--spreadsheet", "--columns", "id=who", program="graphtrack")
+    assert done.returncode == 0 and '\n"\'@anna",' in sheet.read_text()
+    run("convert", path, "-o", sheet, "--columns", "id=who", program="graphtrack")
+    assert '\n"@anna",' in sheet.read_text()  # unchanged without the option
+    done = run(
+        "convert",
+        path,
+        "-o",
+        tmp_path / "a.ndjson",
+        "--spreadsheet",
+        "--columns",
+        "id=who",
+        program="graphtrack",
+    )
+    assert done.returncode == 2 and "--spreadsheet" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "character", [*"\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069", "\ufeff"]
+)
+def test_the_direction_of_writing_is_not_changed_in_the_terminal(tmp_path: Path, character: str) -> None:
+    path = tmp_path / f"a{character}.csv"
+    path.write_text("track_id,frame,t,x,y,label,odd" + character + "\n" + f"1,0,0,0,0,a{character}b,\n")
+    for words in (
+        ("info", path),
+        ("info", path, "--columns", f"x={character}"),
+        ("smooth", path, "-o", tmp_path),
+    ):
+        done = run(*words, program="graphtrack")
+        assert character not in done.stdout + done.stderr, words

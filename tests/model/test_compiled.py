@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,11 +14,11 @@ import numba
 import numpy as np
 import pytest
 
+from graphtrack import machine_code
 from graphtrack.errors import InputError
 from graphtrack.kernels import compilation
 from graphtrack.kernels.compilation import Rehearsal, allocating, compiled, machine_code_folder, make_ready
 
-module = sys.modules["graphtrack.kernels.compilation"]  # the package has the function under that name
 PACKAGES = [Path(__file__).parents[2] / name for name in ("graphtrack", "perception")]
 
 
@@ -48,7 +49,7 @@ def test_numba_s_own_setting_stays_as_it_was(monkeypatch, tmp_path: Path) -> Non
         return 2.0 * x
 
     assert str(tmp_path) == numba.config.CACHE_DIR and twice(3.0) == 6.0
-    assert list(tmp_path.glob(f"{module._digest()}/*/*.nbc"))
+    assert list(tmp_path.glob(f"{machine_code._digest()}/*/*.nbc"))
 
 
 def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch, tmp_path: Path) -> None:
@@ -95,9 +96,9 @@ def test_at_the_prompt_it_compiles() -> None:
 def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch, tmp_path: Path) -> None:
     kernels, others = tmp_path / "graphtrack" / "kernels", tmp_path / "graphtrack"
     kernels.mkdir(parents=True)
-    monkeypatch.setattr(module, "__file__", str(kernels / "compiled.py"))
+    monkeypatch.setattr(machine_code, "__file__", str(others / "machine_code.py"))
     plain, compiling = "a = 1", "@compiled\ndef one() -> int:\n    return 1\n"
-    digests = [module._digest.__wrapped__()]
+    digests = [machine_code._digest.__wrapped__()]
     for path, text in (
         (others / "two.py", plain),
         (others / "two.py", compiling),
@@ -105,7 +106,7 @@ def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch,
         (kernels / "one.py", "a = 2"),
     ):
         path.write_text(text)
-        digests.append(module._digest.__wrapped__())
+        digests.append(machine_code._digest.__wrapped__())
     assert digests[0] == digests[1] and len(set(digests)) == 4
 
 
@@ -160,3 +161,134 @@ def test_where_nothing_can_be_kept_it_says_so_in_every_process(monkeypatch, tmp_
     for _ in range(2):
         assert "in every process" in logged(caplog, Rehearsal("a kind", list, 12.0))[0]
         compilation._READY.clear()
+
+
+DAMAGES = {
+    "empty": lambda content: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "zeros": lambda content: bytes(len(content)),
+    "noise": lambda content: np.random.default_rng(0).bytes(len(content)),
+}
+PROGRAM = """
+import logging, sys
+from graphtrack.kernels.compilation import Rehearsal, compiled, make_ready
+@compiled
+def inner(x: float) -> float:
+    return 2.0 * x
+@compiled
+def outer(x: float) -> float:
+    return inner(x) + 1.0
+if __name__ == "__main__":
+    make_ready("something", Rehearsal("a kind", lambda: outer(2.0), 1.0))
+    print(outer(2.0), sum(len(one.stats.cache_hits) for one in (inner, outer)))
+"""
+
+
+@pytest.fixture(scope="module")
+def kept_code(tmp_path_factory):
+    """A program that has run once, and the folder of its machine code."""
+    folder = tmp_path_factory.mktemp("kept")
+    (folder / "program.py").write_text(PROGRAM)
+    assert run_with(folder / "code", folder / "program.py") == (0, "5.0 0", [])
+    return folder
+
+
+def run_with(code: Path, program: Path, **environment: str) -> tuple[int, str, list[str]]:
+    """Run the program with a folder of machine code: status, output and log."""
+    done = subprocess.run(
+        [sys.executable, program],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(code), **environment},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    return done.returncode, done.stdout.strip(), done.stderr.splitlines()
+
+
+@pytest.mark.parametrize("ending", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_machine_code_is_replaced_with_one_line(kept_code, tmp_path, ending, damage) -> None:
+    code, program = tmp_path / "code", kept_code / "program.py"
+    shutil.copytree(kept_code / "code", code)
+    files = list(code.rglob(f"*{ending}"))
+    assert len(files) == 2
+    for path in files:
+        path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    status, output, log = run_with(code, program)
+    assert (status, output) == (0, "5.0 0")
+    assert len(log) == 1 and log[0].startswith(f"machine code in {code}") and "compiling again" in log[0]
+    assert run_with(code, program) == (0, "5.0 1", []), "loaded, as outer has inner within it"
+
+
+def test_machine_code_that_was_deleted_is_compiled_again(kept_code, tmp_path) -> None:
+    code = tmp_path / "code"
+    shutil.copytree(kept_code / "code", code)
+    for path in code.rglob("*.nbc"):
+        path.unlink()
+    assert run_with(code, kept_code / "program.py") == (0, "5.0 0", [])
+
+
+FULL_DISK = """
+import builtins, errno, runpy, sys
+from pathlib import Path
+opened, code = builtins.open, sys.argv[2]
+def full(path, mode="r", *args, **kwargs):
+    if "w" in mode and str(path).startswith(code):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+    return opened(path, mode, *args, **kwargs)
+builtins.open = full
+runpy.run_path(sys.argv[1], run_name="__main__")
+"""
+
+
+def test_a_full_disk_of_machine_code_ends_no_run(kept_code, tmp_path) -> None:
+    code, other = tmp_path / "code", tmp_path / "other"
+    other.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, kept_code / "program.py", code],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(code), "TMPDIR": str(other)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 0 and done.stdout == "5.0 0\n"
+    assert "No space left on device" in line and "compiling for this process" in line
+    assert not list(other.iterdir()), "the folder of the process is gone"
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o720])
+@pytest.mark.parametrize("inner", [False, True])
+def test_a_folder_in_which_others_may_write_is_not_used(monkeypatch, tmp_path, caplog, mode, inner) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    folder = machine_code_folder()
+    assert folder is not None and folder.stat().st_mode & 0o777 == 0o700
+    (folder if inner else tmp_path).chmod(mode)
+    assert machine_code_folder() is None
+    assert "others can write to" in logged(caplog, Rehearsal("a kind", list, 12.0))[0]
+
+
+def test_a_shared_temporary_folder_may_hold_it(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    tmp_path.chmod(0o1777)
+    assert machine_code_folder() is not None
+
+
+@pytest.mark.skipif(not hasattr(os, "chown") or os.getuid() != 0, reason="only root gives files away")
+def test_a_folder_of_another_user_is_not_used(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    folder = machine_code_folder()
+    assert folder is not None
+    os.chown(folder, 12345, -1)
+    assert machine_code_folder() is None
+
+
+def test_errors_elsewhere_are_no_damage(monkeypatch, tmp_path, caplog) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def early() -> None:
+        raise EOFError("a file that ends")
+
+    with pytest.raises(EOFError):
+        make_ready("something", Rehearsal("a kind", early, 1.0))
+    assert not caplog.records

@@ -19,8 +19,12 @@ from graphtrack.kernels.compilation import allocating, compiled, inner, inner_al
 from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums
 from graphtrack.model.generator import set_quarter_turns
+from graphtrack.model.terms.orientation import angle_cost
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 Single = NDArray[np.float32]
+
+_TURN = 2.0 * math.pi
 
 SURE = 4.0  # Greatest concentration that the past of a window has in the search for another basin
 
@@ -296,8 +300,11 @@ def find_other_basins(
             this = only_lane(found, lane)
             found |= this
             angles = masked(again, this)
+            here[:, BODY:] = course
+            # The grid is coarser than accurate observations.
+            admit_rejected(all_tracks, tracks[lane], here)
             for k in range(length):
-                angles[k, BODY], angles[k, HEAD] = course[k, 0], course[k, 1]
+                angles[k, BODY], angles[k, HEAD] = here[k, BODY], here[k, HEAD]
     return found
 
 
@@ -308,13 +315,74 @@ def find_other_basin(chain: Chain, states: FloatArray, near: float, workspace: W
     return find_other_basins(chain.problem, tracks, chain, states, near, workspace)
 
 
+_REJECTED = 8.0
+"""κ·(1 − cos Δ) from which an observed angle counts as rejected: four standard deviations."""
+
+
+@inner
+def observed_angle(frame: Any, place: int) -> tuple[float, float, float, float]:
+    """Return an observed angle, its concentration, the outliers' share, and the turn's concentration."""
+    if place == BODY:
+        angle = math.atan2(frame.observed_body_sin, frame.observed_body_cos)
+        return angle, frame.body_kappa, frame.body_uniform, frame.body_turn_kappa
+    angle = math.atan2(frame.observed_head_sin, frame.observed_head_cos)
+    return angle, frame.head_kappa, frame.head_uniform, frame.head_turn_kappa
+
+
+@inner
+def is_rejected(frame: Any, place: int, angle: float) -> bool:
+    """Return True if an observed angle is far from an estimate, and may be an outlier."""
+    at, kappa, uniform, _ = observed_angle(frame, place)
+    return uniform > 0.0 and kappa * (1.0 - math.cos(angle - at)) > _REJECTED
+
+
+@allocating
+def admit_rejected(problem: Problem, track: int, states: FloatArray) -> bool:
+    """Move estimates (n, 6) to rejected observations of angles on the cheapest course; True if one moves.
+
+    Where outliers have a probability, the cost of an accurate observation is flat a few of its standard
+    deviations away, and no descent arrives there. The course goes through the estimate or the observation of
+    each frame (Viterbi algorithm); turns and observations count.
+    """
+    n, moved, offset = len(states), False, problem.offsets[track]
+    value, back = np.zeros(2), np.zeros((n, 2), np.int64)
+    for place in (BODY, HEAD):
+        rejected = False
+        for k in range(n):
+            rejected |= is_rejected(problem.records[offset + k], place, states[k, place])
+        if not rejected:
+            continue
+        before, value[0], value[1] = (states[0, place], states[0, place]), 0.0, math.inf
+        for k in range(n):
+            angle, kappa, uniform, turning = observed_angle(problem.records[offset + k], place)
+            here = states[k, place]
+            there = angle if is_rejected(problem.records[offset + k], place, here) else here
+            stay, go = math.inf, math.inf
+            for way in range(2):
+                to_here = value[way] + turning * (1.0 - math.cos(here - before[way]))
+                to_there = value[way] + turning * (1.0 - math.cos(there - before[way]))
+                if to_here < stay:
+                    stay, back[k, 0] = to_here, way
+                if to_there < go:
+                    go, back[k, 1] = to_there, way
+            value[0] = stay + angle_cost(math.cos(angle - here), kappa, uniform)
+            value[1] = go + angle_cost(math.cos(angle - there), kappa, uniform)
+            before = here, there
+        way = 1 if value[1] < value[0] else 0
+        for k in range(n - 1, -1, -1):
+            if way == 1 and is_rejected(problem.records[offset + k], place, states[k, place]):
+                turn = observed_angle(problem.records[offset + k], place)[0] - states[k, place]
+                states[k, place] += turn - _TURN * math.floor(turn / _TURN + 0.5)
+                moved = True
+            way = back[k, way]
+    return moved
+
+
 SLOW = 0.3  # m/s below which a person may stand: half of the slowest walk
 
 BRIEF = 0.5  # Seconds for which the estimated speed of a standing person may exceed `SLOW`
 
 _GOES_ON = 0.1  # Of the mean turn in a slow stretch, above which the frames around it turn on
-
-_TURN = 2.0 * math.pi
 
 
 @inner
@@ -350,7 +418,7 @@ def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace
                     if begin < 0:
                         begin, turned = max(k - 1, 0), step
                     slow, since, at_slow = k, 0.0, turned
-                if begin < 0 or (since <= BRIEF and k < frames - 1):
+                if begin < 0 or (since <= BRIEF + TIME_TOLERANCE and k < frames - 1):
                     continue
                 # The stretch is over: it lasted up to the frame after the last slow one.
                 variance = 0.0

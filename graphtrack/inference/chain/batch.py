@@ -516,7 +516,7 @@ def solve_packed(
         solve_linear_tracks(linear_part(packed), longest, result)
     else:
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
-        initialise(linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
+        initialise(problem, linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
         options = Options(max_iterations, tolerance, PASSES, basin_search)
         solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)

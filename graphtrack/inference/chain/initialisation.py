@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, vectors_of
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.basin_search import SLOW
+from graphtrack.inference.chain.basin_search import SLOW, admit_rejected
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE, Result
 from graphtrack.kernels.compilation import allocating, compiled, inner
 from graphtrack.kernels.layout import (
     BODY,
     HEAD,
-    TIME_TOLERANCE,
     VX,
     VY,
     N,
@@ -34,6 +33,7 @@ from graphtrack.model.generator import program_of
 from graphtrack.model.observation import require_position
 from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import filled, types_of
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track
 
 
@@ -256,7 +256,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
 
 @allocating
 def initialise(
-    linear: Linear, angles_observed: ObservedAngles, angles: FloatArray, states: FloatArray
+    problem: Problem, linear: Linear, angles_observed: ObservedAngles, angles: FloatArray, states: FloatArray
 ) -> None:
     """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest track."""
     longest = angles.shape[1]
@@ -278,6 +278,7 @@ def initialise(
             fill(t, angle, angles[1, :n] if place == HEAD and len(angles_observed.body) > 0 else heading)
             for k in range(n):
                 here[k, place] = angle[k]
+        admit_rejected(problem, track, here)
 
 
 WINDOW = 0.5  # Seconds to either side over which observed angles are averaged for the initial values
@@ -335,7 +336,8 @@ def initial_states(track: Track, model: Model) -> States:
     packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
     states = np.zeros((len(track), 6))
-    initialise(linear_part(packed), observed_angles(packed, model), np.empty((3, len(track))), states)
+    memory = np.empty((3, len(track)))
+    initialise(problem_of(packed), linear_part(packed), observed_angles(packed, model), memory, states)
     none = np.full(len(track), np.nan)
     return States(
         states[:, :2] + packed.origin[0],

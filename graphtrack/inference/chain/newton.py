@@ -427,6 +427,10 @@ def sweep_forward(chain: Chain, states: FloatArray, exact: bool, workspace: Work
 _SMALLEST_SCALE = 1e-9
 _HUGE = 1e300
 
+_NUDGE = 0.1
+"""Radians by which orientations leave a stationary point that is no minimum, such as a body that was never
+observed and points exactly backwards: its gradient is zero, and only the curvature tells."""
+
 
 @inner
 def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
@@ -437,12 +441,21 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
 
 
 @inner
+def nudge(first: int, n: int, states: FloatArray, nudged: Any, to: FloatArray) -> None:
+    """Copy states from the frame ``first`` on; where ``nudged``, orientations are turned by `_NUDGE`."""
+    for k in range(first, n):
+        for i in range(N):
+            turned = states[k, i] + (_NUDGE if i >= BODY else 0.0)
+            to[k, i] = choose(nudged, turned, states[k, i])
+
+
+@inner
 def minimise(
     chain: Chain, states: FloatArray, max_iterations: int, tolerance: float, workspace: Workspace
 ) -> None:
     """Newton's method with step halving from ``states`` (n, 6), in place; its status is ``workspace.ended``.
 
-    Kept frames do not move, except the last. Each lane has its own step length.
+    Kept frames do not move, except the last. Each lane has its own step length. A saddle is left once.
     """
     step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
     n, length = chain.n, chain.length
@@ -454,7 +467,7 @@ def minimise(
     running = abs(cost) < _HUGE
     status, steps = choose(running, one * NOT_CONVERGED, one * NOT_FINITE), 0.0 * one
     running &= length > 0.0
-    stuck_somewhere = negate(one > 0.0)
+    stuck_somewhere = left_saddle = negate(one > 0.0)
     for iteration in range(max_iterations + 1):
         if not any_of(running):
             break
@@ -475,6 +488,12 @@ def minimise(
         steps = choose(running, one * iteration, steps)
         running &= finite
         done = running & (decrement <= tolerance * (1.0 + abs(cost)))
+        saddle = done & negate(definite | left_saddle)
+        if any_of(saddle) and iteration < max_iterations:
+            nudge(first, n, states, saddle, states)
+            found, definite = sweep_forward(chain, states, full, workspace)
+            cost, left_saddle = choose(saddle, found, cost), left_saddle | saddle
+            continue
         if any_of(done):
             go(first, n, states, choose(done, one, 0.0), step, states)
             status = choose(done, one * CONVERGED, status)
@@ -499,6 +518,15 @@ def minimise(
     status = choose(stuck_somewhere & exact, one * CONVERGED, status)
     ended[FIRST_COST], ended[COST], ended[STEPS], ended[STATUS] = first_cost, cost, steps, status
     ended[EXACT] = choose(exact, one, 0.0)
+
+
+@allocating
+def leave_saddle(chain: Chain, states: FloatArray, workspace: Workspace) -> bool:
+    """Put into ``workspace.again`` turned orientations of one track; False where the states are a minimum."""
+    copy_rows(0, 1, states, workspace.start)
+    _, definite = sweep_forward(chain, states, as_variable(True), workspace)
+    nudge(0, chain.n, states, negate(definite), workspace.again)
+    return not definite
 
 
 @merged

@@ -27,6 +27,7 @@ from graphtrack.inference.chain.window_kernels import (
 )
 from graphtrack.inference.state import (
     FAILURES,
+    NOT_DETERMINED,
     Angles,
     MarginalPrior,
     Newest,
@@ -386,7 +387,7 @@ def _taken(
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
         window._warm = fine[k]
         if not fine[k]:
-            found.append(ArithmeticError("the estimate is not finite"))
+            found.append(ArithmeticError(NOT_DETERMINED))
             continue
         if adds:
             window._steps.append(step.alone())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basins, unwind
+from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basins, unwind
 from graphtrack.inference.chain.covariance import Calibration, add_spread, calibrate_newest, hide
 from graphtrack.inference.chain.newton import (
     COST,
@@ -56,7 +56,7 @@ from graphtrack.model.coupling_modes import (
 from graphtrack.model.generator import FrameProgram, add_frame, cut
 from graphtrack.model.packing import CLASS_DIRECTIONS
 from graphtrack.model.terms.couplings import ROW, Gait
-from graphtrack.model.terms.motion import steer
+from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding_in_frame, steer
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
@@ -199,6 +199,10 @@ def solve_window(
         copy_rows(0, n, states, memory.again)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
+    if search:
+        copy_rows(0, n, states, memory.again)
+        if admit_rejected(problem, chain.track, memory.again[:n]):
+            kept = move_if_less(chain, states, 0.0, problem.prior, kept, False, rules, memory)
     if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
         prior = problem.prior.copy()
         turn_prior(problem.prior, states, memory.again)
@@ -212,6 +216,13 @@ def solve_window(
         finite = finite and math.isfinite(states[last, i])
     full, product, linked = memory.scratch[0], memory.scratch[1], as_variable(False)
     marginal(memory.inverse[last], memory.link[last], linked, covariance, full, product, covariance)
+    frame, variance = (
+        problem.records[problem.offsets[chain.track] + last],
+        covariance[X, X] + covariance[Y, Y],
+    )
+    if frame.dt > 0.0:
+        lost = rounding_in_frame(frame.dt, frame.motion_information, 0.5 * variance)
+        finite = finite and lost <= LARGEST_ROUNDING
     return finite
 
 

@@ -20,6 +20,7 @@ from graphtrack.inference.engines import (
     SolverOptions,
     estimated_tracks,
     has_own_kernels,
+    lost_by_rounding,
     make_solver_ready,
     not_finite,
     with_extreme,
@@ -29,9 +30,12 @@ from graphtrack.inference.state import Window, states_of, values_of, variable_ke
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings, von_mises_prior
 from graphtrack.model.observation import chain
-from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
+
+ANCHOR_KAPPA = 1e-4
+"""Concentration at which first orientations are held. GTSAM rejects a clique whose last pivot is less than
+2⁻²⁴ of the previous one, as between the turning at video frame rates and a weaker anchor."""
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
@@ -55,7 +59,7 @@ def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
     return [key for step in steps for key in variable_keys(step, model)]
 
 
-def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list[gtsam.NonlinearFactor]:
+def beginning(window: Window, model: Model) -> list[gtsam.NonlinearFactor]:
     """Factors on a window's first step: of its prior, or of the angles of a very first step."""
     if window.prior is not None:
         return [window.prior.factor(window.steps[0], model)]
@@ -64,7 +68,7 @@ def beginning(window: Window, model: Model, kappa: float = ANCHOR_KAPPA) -> list
     step, (body, head) = window.steps[0], window.anchor
     held = [(step.body_key, body)] if model.has_body else []
     held += [(step.head_key, head)] if model.has_head else []
-    return [von_mises_prior(key, angle, kappa) for key, angle in held]
+    return [von_mises_prior(key, angle, ANCHOR_KAPPA) for key, angle in held]
 
 
 def descend(
@@ -153,7 +157,7 @@ def smooth_graph(
             for _ in range(PASSES):
                 view.renew(states_of(values, steps, model))
                 values, costs, converged = again(values)
-        marginals = gtsam.Marginals(graph.linearize(values), values)
+        marginals = marginals_of(graph, values)
         covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(
@@ -166,6 +170,8 @@ def smooth_graph(
     calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
+    for reason in lost_by_rounding(track.dt, offsets, covariance, model).values():
+        raise SolveError(track.track_id, reason)
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 3), np.nan) if view is None else view.modes
@@ -198,8 +204,13 @@ class _Descent:
 
     def __call__(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         found = self._optimize(values)
-        wound = None if self.view is None else self.view.unwound(states_of(found[0], self.steps, self.model))
-        return found if wound is None else self._better(found, values_of(self.steps, wound, self.model))
+        if self.view is None:
+            return found
+        for way in (self.view.off_saddle, self.view.unwound):
+            other = way(states_of(found[0], self.steps, self.model))
+            if other is not None:
+                found = self._better(found, values_of(self.steps, other, self.model))
+        return found
 
     def _optimize(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         ordering = gtsam.Ordering(keys_of(self.steps, self.model))
@@ -225,6 +236,19 @@ class _Descent:
         states = states_of(values, self.steps, self.model)
         other = None if self.view is None else self.view.other(states, near)
         return None if other is None else values_of(self.steps, other, self.model)
+
+
+def marginals_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | gtsam.ISAM2:
+    """The marginals of a graph, linearised at some values."""
+    try:
+        return gtsam.Marginals(graph.linearize(values), values)
+    except RuntimeError:
+        # It eliminates by Cholesky, which rejects frames that are close in time. QR takes twice as long.
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        tree = gtsam.ISAM2(parameters)
+        tree.update(graph, values)
+        return tree
 
 
 def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, step: Step, model: Model) -> FloatArray:

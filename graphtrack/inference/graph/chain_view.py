@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import find_other_basin, unwind
+from graphtrack.inference.chain.basin_search import admit_rejected, find_other_basin, unwind
 from graphtrack.inference.chain.covariance import spread_track
-from graphtrack.inference.chain.newton import Workspace, workspace
+from graphtrack.inference.chain.newton import Workspace, leave_saddle, workspace
 from graphtrack.inference.chain.window import FrameRows, gait_of_model
 from graphtrack.inference.state import MarginalPrior
 from graphtrack.kernels.layout import Chain, N
@@ -74,6 +74,9 @@ class ChainView:
             return None
         here = self._here(states)
         memory = workspace(len(here))
+        memory.again[:] = here
+        if admit_rejected(self._problem, 0, memory.again):
+            return self._there(memory)
         found = find_other_basin(self._chain, here, near, memory)
         return self._there(memory) if found else self.unwound(states)
 
@@ -82,6 +85,15 @@ class ChainView:
         here = self._here(states)
         memory = workspace(len(here))
         return self._there(memory) if unwind(self._chain, here, 0.0, memory) else None
+
+    def off_saddle(self, states: FloatArray) -> FloatArray | None:
+        """States (n, 6) with turned orientations, from which a saddle is left; None at a minimum.
+
+        Gauss–Newton curvature, as GTSAM has it, is positive at a saddle too.
+        """
+        here = self._here(states)
+        memory = workspace(len(here))
+        return self._there(memory) if leave_saddle(self._chain, here, memory) else None
 
     def _there(self, memory: Workspace) -> FloatArray:
         """The alternative states in the memory, in the world's frame."""

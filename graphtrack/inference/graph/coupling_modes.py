@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -30,11 +31,19 @@ from graphtrack.inference.state import (
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.packages import gtsam
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _LAG = 5.0  # Seconds of a full history in which modes are inferred and basins are searched
 _RECOUPLED = 0.05  # Relative change of a coupling from which a step's factors are re-evaluated
 _REST = 0.5  # Seconds without basin search after a descent without improvement
 _SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)  # For the descent in another basin
+
+
+def _is_opposed(state: FloatArray) -> bool:
+    """Return True if velocity, body and head (6,) are not within 90° of each other: it may be a saddle."""
+    vx, vy, body, head = state[2:].tolist()
+    known = [(math.cos(angle), math.sin(angle)) for angle in (body, head) if math.isfinite(angle)]
+    return any(a * c + b * d < 0.0 for (a, b), (c, d) in combinations([(vx, vy), *known], 2))
 
 
 class CouplingModeSmoother:
@@ -163,7 +172,10 @@ class CouplingModeSmoother:
     def _with_modes(self) -> Newest:
         """Return the newest step's estimate once couplings and basin agree with the states."""
         if self._view is None:
-            return self.graph.settled()
+            newest = self.graph.settled()
+            if not _is_opposed(newest[0]):
+                return newest
+            self._view = self._look()
         recent = self._recent(self.steps)
         states, couplings = self.states(len(recent)), {} if self._couplings is None else self._couplings
         if len(recent) == len(self.steps):
@@ -181,22 +193,29 @@ class CouplingModeSmoother:
                 ]
                 self.graph.recouple(changed)
                 newest, states = self.graph.settled(), self.states(len(recent))
-                if self._searches and (found := self._moved(recent, states)) is not None:
+                if (found := self._moved(recent, states, newest[0])) is not None:
                     newest, states = found
         except FAILURES:
             # The observation itself has led to this basin.
             return self.graph.settled()
         if self._couplings is None:
+            if not self._searches:
+                self._view = None  # until the next saddle
             return newest
         covariance = np.zeros((len(recent), 6, 6))
+        assert self._view is not None
         self._view.widen(states, covariance)
         return newest[0], newest[1] + covariance[-1]
 
-    def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
+    def _moved(
+        self, recent: Sequence[Step], states: FloatArray, newest: FloatArray
+    ) -> tuple[Newest, FloatArray] | None:
         """Restart where the window costs less; return the newest step's estimate and the states, or None."""
         assert self._view is not None
         t = recent[-1].observation.t
-        other = None if t < self._search_from else self._view.other(states, AT_END)
+        other = self._view.off_saddle(states) if _is_opposed(newest) else None
+        if other is None and self._searches and t >= self._search_from - TIME_TOLERANCE:
+            other = self._view.other(states, AT_END)
         if other is None:
             return None
         window = self.graph.window()

@@ -15,7 +15,7 @@ from graphtrack.inference.state import (
     MarginalPrior,
     Newest,
     Window,
-    finite,
+    determined,
     leaving,
     states_of,
     values_of,
@@ -125,7 +125,8 @@ class FixedLag:
         states = states_of(values, steps, self._model)
         newest = steps[-1]
         last = gtsam.Marginals(_last(bayes_net, variable_keys(newest, self._model)), values)
-        known = finite(states[-1]), joint_covariance(last, newest, self._model)
+        found = states[-1].copy(), joint_covariance(last, newest, self._model)
+        known = determined(found, newest, self._model)
         self._window = self._slide(replace(window, states=states), values, start)
         return known
 

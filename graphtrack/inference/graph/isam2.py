@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import beginning, graph_of, joint_covariance, keys_of
+from graphtrack.inference.graph.batch import ANCHOR_KAPPA, beginning, graph_of, joint_covariance, keys_of
 from graphtrack.inference.state import (
     EMPTY,
     Angles,
     MarginalPrior,
     Newest,
     Window,
-    finite,
+    determined,
     leaving,
     present,
     read_step,
@@ -30,10 +30,6 @@ from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
-
-ANCHOR_KAPPA = 1e-4
-"""Concentration at which first orientations are held. GTSAM's Bayes tree rejects a clique whose last pivot is
-less than 2⁻²⁴ of the previous one, as between turning and a weaker anchor at video frame rates."""
 
 _WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM stops back-substitution into the past
 _OF_CLASSES = 0.1
@@ -118,7 +114,7 @@ class Isam2:
         if not self.steps:
             self._anchor = (state[4], state[5])
             window = Window((step,), np.array([state]), None, self._anchor)
-            factors += beginning(window, self._model, ANCHOR_KAPPA)
+            factors += beginning(window, self._model)
         values = values_of([step], np.array([state]), self._model)
         self.steps.append(step)
         self._note(step, factors, self._update(factors, values))
@@ -194,7 +190,8 @@ class Isam2:
             self._update()
         newest = self.steps[-1]
         state = self._state(newest)
-        known = finite(state), joint_covariance(self.isam, newest, self._model)
+        found = np.array(state), joint_covariance(self.isam, newest, self._model)
+        known = determined(found, newest, self._model)
         if self._lag == math.inf:
             self._since[newest.index] = state
             if len(self._since) * _REMEMBERED > len(self.steps):
@@ -241,7 +238,7 @@ class Isam2:
         thresholds = np.array([self._threshold] * 4 + [angle] * 2)
         isam, steps = gtsam.ISAM2(_parameters(thresholds)), window.steps
         firm = window if window.prior is None else replace(window, prior=window.prior.firm(ANCHOR_KAPPA))
-        held = beginning(firm, self._model, ANCHOR_KAPPA)
+        held = beginning(firm, self._model)
         factors = [self._model.factors(step, self._couplings) for step in steps]
         values = values_of(steps, window.states, self._model)
         graph = graph_of([*held, *(factor for own in factors for factor in own)])
@@ -297,4 +294,6 @@ def _parameters(thresholds: FloatArray) -> gtsam.ISAM2Params:
     parameters.setRelinearizeThreshold(by_kind)
     parameters.setOptimizationParams(optimisation)
     parameters.findUnusedFactorSlots = True
+    # Cholesky rejects frames that are close in time, and then drifts.
+    parameters.setFactorization("QR")
     return parameters

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -282,12 +283,9 @@ class _Reader:
 
 def _line_of_object(source: Source, index: int) -> int:
     """Return the line of the ``index``-th object of the file, counted only for a message."""
-    line = 1
-    for i, match in enumerate(re.finditer(rb"<object[\s>]", source.data)):
-        line = source.data.count(b"\n", 0, match.start()) + 1
-        if i == index:
-            break
-    return line
+    places = (match.start() for match in re.finditer(rb"<object[\s>]", source.data))
+    place = max(islice(places, index + 1), default=0)
+    return source.data.count(b"\n", 0, place) + 1
 
 
 CAVIAR = Format(

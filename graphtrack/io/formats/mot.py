@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -25,7 +25,7 @@ from graphtrack.io.cameras import boxes_on_ground, placed_boxes, with_scores
 from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import Numbers, read_numbers
+from graphtrack.io.text import Numbers, read_numbers, trailing_number
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import (
@@ -274,7 +274,6 @@ PERSON = 1
 _PEOPLE = ("person", "pedestrian")  # names of that category in files with names
 _ENTRY = "an object with image_id and bbox"
 _KEYS = re.compile(rb'"image_id"')
-_NUMBER_AT_THE_END = re.compile(r"(\d{1,15})$", re.ASCII)
 
 
 def read_coco(source: Source, options: ReadOptions) -> Rows:
@@ -315,7 +314,7 @@ def read_coco_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Row
         else ("frames are the image ids",),
         has_identity=identified,
     )
-    kind = _categories(entries, document, options)
+    kind = _categories(source, entries, document, options)
     for name in dict.fromkeys(kind.tolist()):
         if name:
             kept = kind != name
@@ -357,13 +356,20 @@ def _is_integer(value: object, lowest: int, highest: int) -> bool:
 
 def _names(document: Mapping[str, Any]) -> dict[Any, int]:
     """Return image id → number at the end of its file name; none if a number is missing or repeated."""
-    images = document.get("images")
-    if not isinstance(images, list) or not all(isinstance(one, dict) for one in images):
-        return {}
-    stems = {one.get("id"): PurePosixPath(str(one.get("file_name", ""))).stem for one in images}
-    found = {key: match for key, stem in stems.items() if (match := _NUMBER_AT_THE_END.search(stem))}
-    numbers = {key: int(match[1]) for key, match in found.items()}
-    return numbers if len(set(numbers.values())) == len(images) else {}
+    stems = {
+        key: PurePosixPath(str(one.get("file_name", ""))).stem for key, one in _by_id(document, "images")
+    }
+    found = {key: trailing_number(stem) for key, stem in stems.items()}
+    numbers = {key: number for key, number in found.items() if number is not None}
+    return numbers if len(set(numbers.values())) == len(document.get("images") or ()) else {}
+
+
+def _by_id(document: Mapping[str, Any], name: str) -> Iterator[tuple[int | str, Mapping[str, Any]]]:
+    """Yield the id, a number or text, and the content of each object in a list of the document."""
+    listed = document.get(name)
+    for one in listed if isinstance(listed, list) else ():
+        if isinstance(one, dict) and isinstance(one.get("id"), int | str):
+            yield one["id"], one
 
 
 def _frames(
@@ -374,8 +380,8 @@ def _frames(
     for k, one in enumerate(entries):
         image = one["image_id"]
         number: object = names.get(image, image) if isinstance(image, int | str) else image
-        if isinstance(number, str) and (match := _NUMBER_AT_THE_END.search(PurePosixPath(number).stem)):
-            number = int(match[1])
+        if isinstance(number, str):
+            number = trailing_number(PurePosixPath(number).stem)
         if not _is_integer(number, -LARGEST_FRAME, LARGEST_FRAME):
             expected = f"a whole number within ±{LARGEST_FRAME}, or a name that ends in one"
             raise _fail(source, k, repr(image)[:40], expected, "image_id")
@@ -384,16 +390,16 @@ def _frames(
 
 
 def _categories(
-    entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any], options: ReadOptions
+    source: Source, entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any], options: ReadOptions
 ) -> NDArray[Any]:
     """Return each entry's reason of refusal (n,): the name of its category, or "crowd"; "" for people."""
     wanted = {*_PEOPLE, *(name.lower() for name in options.classes)}
-    named = document.get("categories")
-    named = named if isinstance(named, list) else []
-    names = {one.get("id"): str(one.get("name")) for one in named if isinstance(one, dict)}
+    names = {key: str(one.get("name")) for key, one in _by_id(document, "categories")}
     found = []
-    for one in entries:
+    for k, one in enumerate(entries):
         category = one.get("category_id", PERSON)
+        if not isinstance(category, int | str):
+            raise _fail(source, k, repr(category)[:40], "a number or text", "category_id")
         name = names.get(category, "person" if category == PERSON and not names else str(category))
         found.append("crowd" if one.get("iscrowd") == 1 else "" if name.lower() in wanted else name)
     return np.array(found, dtype=object)

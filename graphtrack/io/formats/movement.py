@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from graphtrack.tracks.cells import METRES, Layout, numbered_names, numbered_tim
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import is_input_name, repeated
 from graphtrack.tracks.table import AsRead, Rows
-from graphtrack.tracks.time import TimeScale, from_dates
+from graphtrack.tracks.time import TimeScale, distinct_times, from_dates
 from graphtrack.tracks.track import TrackSet, channel_of
 from graphtrack.tracks.validation import FIELDS, INPUT, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
 
@@ -194,7 +195,7 @@ def frames_and_times(
     elif rate is not None and np.abs(t * rate - np.rint(t * rate)).max(initial=0.0) < 0.25:
         frame = _integers(np.rint(t * rate), path)
     else:
-        known, place = np.unique(t, return_inverse=True)
+        known, place = distinct_times(t)
         numbers, how = numbered_times(known)
         frame = numbers[place].astype(np.int64)
         notes.append(f"no frames: {how}")
@@ -598,6 +599,9 @@ def software_of(source: Source) -> str | None:
     try:
         with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
             names = set(file)
+            source.limit.check(_claimed_bytes(file), "arrays")
+    except InputError:
+        raise
     except (OSError, RuntimeError, ValueError):  # damaged: reading it as a dataset reports the fault
         return None
     return SLEAP if names >= _OF_SLEAP else DEEPLABCUT if names >= _OF_DLC else None
@@ -654,6 +658,19 @@ def _loaded(xr: Any, source: Source, engine: str) -> Any:
         description = " ".join(str(error).split()) or type(error).__name__
         found = f"a netCDF file that cannot be read ({description[:200]})"
         raise source.fail(found, "a whole one, of movement's dataset.to_netcdf") from error
+
+
+def _claimed_bytes(file: Any) -> int:
+    """Return the bytes that an open HDF5 file's arrays take as doubles, whether they are stored or not."""
+
+    def size(item: Any) -> int:
+        shape = getattr(item, "shape", None)
+        return 0 if shape is None else math.prod(shape) * max(item.dtype.itemsize, 8)
+
+    every: list[int] = []
+    file.visititems(lambda name, item: every.append(size(item)))
+    # Several links to an array are visited once, but read each.
+    return max(sum(every), sum(size(file.get(name)) for name in file))
 
 
 def write(tracks: TrackSet, path: Path) -> None:

@@ -202,15 +202,42 @@ def read_parquet(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
     import pyarrow.parquet as pq
 
     with arrow_errors(source.path):
-        file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
+        schema = pq.read_schema(io.BytesIO(source.data))
+        file = pq.ParquetFile(
+            io.BytesIO(source.data), read_dictionary=text_columns(schema), page_checksum_verification=True
+        )
+    claimed: dict[str, int] = {}
 
     def column(name: str) -> pa.ChunkedArray:
+        with arrow_errors(source.path):
+            claimed[name] = _claimed_bytes(file.metadata, name)
+        source.limit.check(sum(claimed.values()), f"columns of {file.metadata.num_rows} rows")
         with arrow_errors(source.path):
             table = file.read(columns=[name])
             table.validate(full=True)
             return table.column(name)
 
     return cells_of_arrow(file.schema_arrow, column, source.path, "parquet")
+
+
+def text_columns(schema: Any) -> list[str]:
+    """Return the columns of text of an Arrow schema.
+
+    Read as dictionaries they take no more memory than their different values.
+    """
+    import pyarrow as pa
+
+    return [one.name for one in schema if pa.types.is_string(one.type) or pa.types.is_large_string(one.type)]
+
+
+def _claimed_bytes(metadata: Any, name: str) -> int:
+    """Return the bytes of a column that a file claims to hold: of its rows, or as it was written if more."""
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    own = next((k for k in range(metadata.num_columns) if metadata.schema.column(k).path == name), None)
+    return sum(
+        max(8 * group.num_rows, 0 if own is None else group.column(own).total_uncompressed_size)
+        for group in groups
+    )
 
 
 @contextmanager

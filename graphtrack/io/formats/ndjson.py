@@ -116,7 +116,7 @@ _DECODER = json.JSONDecoder(object_pairs_hook=tuple, parse_constant=_Literal)
 _CAREFUL = json.JSONDecoder(
     object_pairs_hook=tuple, parse_int=_integer, parse_float=_float, parse_constant=_Literal
 )
-_HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
+_HUGE = re.compile(r"[eE]\+?\d{3}|(?<!\d)\d{300}")
 """Sign of a number that may be too large: the careful decoder takes half as long again."""
 
 
@@ -137,16 +137,29 @@ def _no_json(text: str, place: int) -> InputError:
     """Return the error for the position where the decoder failed, with its key."""
     if place >= len(text.rstrip()):
         return InputError("the end of the line", _EXPECTED)
-    begin = place - len(_WORD_BEFORE.search(text[:place])[0])  # type: ignore[index]  # it always matches
-    word = _WORD.match(text, begin)[0]  # type: ignore[index]
-    key = _KEY_BEFORE.search(text[:begin])
+    begin = place
+    while begin > max(place - _LONGEST, 0) and not _ends_word(text[begin - 1]):
+        begin -= 1
+    near = text[begin : place + _LONGEST]
+    word = near[: next((k for k, character in enumerate(near) if _ends_word(character)), None)]
     found = f"{_cut(repr(word or text[begin]))} at character {begin + 1}"
-    return InputError(found, _EXPECTED, column=key and key[1])
+    return InputError(found, _EXPECTED, column=_key_before(text[:begin].rstrip()))
 
 
 _EXPECTED = "one JSON object a line"
-_WORD, _WORD_BEFORE = re.compile(r"[^\s,:\[\]{}]*"), re.compile(r"[^\s,:\[\]{}]*$")
-_KEY_BEFORE = re.compile(r'"([^"\\]{1,40})"\s*:\s*$')
+
+
+def _ends_word(character: str) -> bool:
+    return character.isspace() or character in ",:[]{}"
+
+
+def _key_before(text: str) -> str | None:
+    """Return the key of up to `_LONGEST` characters, and its colon, that a text ends with; else None."""
+    quoted = text.removesuffix(":").rstrip()
+    if not text.endswith(":") or not quoted.endswith('"'):
+        return None
+    key = quoted[-_LONGEST - 2 : -1].rpartition('"')
+    return key[2] if key[1] and key[2] and "\\" not in key[2] else None
 
 
 def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
@@ -259,6 +272,9 @@ class _Row(NamedTuple):
         return -self.line if track_id is None else track_id, self.cells.get("frame")
 
 
+_CELL_BYTES = 16
+"""Of a key that a row may lack: an object, and a number."""
+
 NOT_USED = "rows that 'track -' could not use"
 REPLACED = "estimates that a later row of the same frame replaces"
 
@@ -288,6 +304,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
         rows.append(_Row(number, given))
         if not given.keys() <= keys.keys():
             keys |= dict.fromkeys(given)
+    source.limit.check(_CELL_BYTES * len(rows) * len(keys), f"{len(rows)} rows with one of {len(keys)} keys")
     kept = _last_answers(rows)
     refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
     if not kept:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format, rate_of, rate_to_write, times_are_exact
+from graphtrack.io.limits import check_stored
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
@@ -89,7 +90,8 @@ def trajectory_columns(
 
 
 _NAMES = ("id", "frame", "x", "y", "z")
-_RATE = re.compile(r"frame\s*_?rate\D*?(\d{1,6}(?:\.\d+)?)", re.IGNORECASE)
+_NAMED_RATE = re.compile(r"frame\s*_?rate", re.IGNORECASE)
+_RATE = re.compile(r"\d{1,6}(?:\.\d+)?")
 _UNITS = {
     "cm": re.compile(r"\bx/cm\b|\bin cm\b", re.IGNORECASE),
     "m": re.compile(r"\bx/m\b|\bin m\b", re.IGNORECASE),
@@ -105,18 +107,25 @@ def _read_text(source: Source, options: ReadOptions) -> Rows:
         header.append(line)
     rate, notes = options.fps, []
     if rate is None:
-        found = next((match for line in header if (match := _RATE.search(line)) is not None), None)
-        if found is None or float(found[1]) <= 0.0:
+        found = next(filter(None, map(_declared_rate, header)), None)
+        if found is None or float(found) <= 0.0:
             expected = "frames a second (--fps), or a line such as # framerate: 25"
             raise source.fail("no frame rate", expected)
-        rate = float(found[1])
-        notes.append(f"frame rate {found[1]} Hz from the file's header")
+        rate = float(found)
+        notes.append(f"frame rate {found} Hz from the file's header")
     unit = _unit(header, options, source.path)
     table = read_numbers(source, delimiter=None, widths=(4, 5, 6), names=_NAMES, comments=True)
     position = METRES[unit] * np.column_stack([table.metres(2), table.metres(3)])
     ids, frame = table.integers(0, LARGEST_ID), table.integers(1)
     rows = Rows(source.path, "pedpy", ids, frame, {"position": position}, table.line_of)
     return rows.with_times(rate).with_notes(*notes)
+
+
+def _declared_rate(line: str) -> str | None:
+    """Return the first number after the words "frame rate" in a line."""
+    named = _NAMED_RATE.search(line)
+    found = None if named is None else _RATE.search(line, named.end())
+    return None if found is None else found[0]
 
 
 def _unit(header: list[str], options: ReadOptions, path: Path) -> str:
@@ -167,11 +176,17 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     try:
         with closing(sqlite3.connect(":memory:")) as connection:
             connection.deserialize(data)
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(len(data), 1000), 10**9))
             tables = {name for (name,) in connection.execute("select name from sqlite_master")}
             _check_tables(tables, source.path)
+            for name in {"trajectory_data", "metadata"} & tables:
+                check_stored(connection, name, source.path)
+            (sound,) = connection.execute("pragma quick_check(1)").fetchone()
+            if sound != "ok":
+                raise source.fail(f"a damaged database ({sound})", "a whole one")
             answer = connection.execute("select * from trajectory_data")
             place = {one[0]: k for k, one in enumerate(answer.description)}
-            rows = answer.fetchall()
+            rows = _fetched(answer, source)
             rate = options.fps if options.fps is not None else _rate(connection, tables)
     except sqlite3.Error as error:
         raise source.fail(f"a database that cannot be read ({error})", "a whole one") from error
@@ -189,6 +204,21 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     layout = Layout({native: name for name, native in _OWN.items()})
     fps = None if "t" in place else rate
     return replace(rows_of_cells(replace(cells, columns=columns), layout, fps=fps, strict=True), as_read=None)
+
+
+_CELL_BYTES = 32
+
+
+def _fetched(answer: sqlite3.Cursor, source: Source) -> list[tuple[Any, ...]]:
+    """Return all rows; the limit includes text, which columns added later repeat without storing it."""
+    rows: list[tuple[Any, ...]] = []
+    taken, most = 0, source.limit.most
+    for row in answer:
+        taken += _CELL_BYTES * len(row) + sum(len(cell) for cell in row if isinstance(cell, str | bytes))
+        if taken > most:
+            source.limit.check(taken, f"the first {len(rows) + 1} rows")
+        rows.append(row)
+    return rows
 
 
 def _check_tables(tables: set[str], path: Path) -> None:

@@ -8,25 +8,30 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import os
+import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.formats.mcap_reading import McapReader, unpacked
+from graphtrack.io.limits import MemoryLimit, check_stored
 from graphtrack.io.source import RemoteFile
 from graphtrack.packages import package, transform
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION
 
 if TYPE_CHECKING:
-    from rosbags.rosbag2 import Reader
     from rosbags.typesys.store import Typestore
 
 
@@ -376,7 +381,7 @@ def is_bag(path: Path) -> bool:
         if isinstance(path, RemoteFile):
             return str(path).lower().endswith(".mcap")
         if path.is_dir():
-            return (path / "metadata.yaml").is_file() or bool(_mcap_files(path))
+            return (path / "metadata.yaml").is_file() or bool(_numbered(path, "*.mcap"))
         if not path.is_file():
             return False
         with path.open("rb") as stream:
@@ -394,11 +399,14 @@ class Bag:
     Attributes
     ----------
     topics : name → type
+    limit : of the memory that its messages of people may take
     """
 
     path: Path
     topics: Mapping[str, str]
-    _readers: tuple[Reader, ...]
+    limit: MemoryLimit
+    _readers: tuple[Any, ...]
+    _compression: str = ""
 
     def store(self, kinds: Collection[str]) -> Typestore:
         """Return the typestore of these types, with the recording's definitions where it has them."""
@@ -419,11 +427,14 @@ class Bag:
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         """Yield the messages of some topics, in the order of the recording."""
-        numbers = dict.fromkeys(topics, 0)
+        numbers, taken = dict.fromkeys(topics, 0), 0
         with reading_errors(self.path, "a recording"):
             for reader in self._readers:
                 wanted = [one for one in reader.connections if one.topic in topics]
                 for connection, logged, raw in reader.messages(wanted) if wanted else ():
+                    raw = unpacked(raw, self._compression, self.limit)
+                    taken += len(raw)
+                    self.limit.check(taken, "messages")
                     numbers[connection.topic] += 1
                     yield Recorded(connection.topic, logged, raw, numbers[connection.topic])
 
@@ -447,25 +458,86 @@ class Bag:
 
 
 @contextmanager
-def open_bag(path: Path) -> Iterator[Bag]:
-    """Open a recording."""
+def open_bag(path: Path, limit: MemoryLimit | None = None) -> Iterator[Bag]:
+    """Open a recording, within a limit of memory."""
     need_rosbags()
-    from rosbags.rosbag2 import Reader
-
-    readers: list[Reader] = []
+    readers: list[Any] = []
     with ExitStack() as stack:
         with reading_errors(path, "a recording"):
-            for one in (_mcap_files(path) if path.is_dir() else []) or [path]:
-                readers.append(Reader(one))
+            compression = _compression(path)
+            files = _files(path, compression)
+            size = sum(one.stat().st_size for one in files if not isinstance(one, RemoteFile))
+            limit = replace(limit or MemoryLimit(path), stored=size or None)
+            if compression == _OF_FILES:
+                folder = Path(stack.enter_context(TemporaryDirectory()))
+                files = [_unpacked_file(one, folder, limit) for one in files]
+            for one in files:
+                readers.append(_reader(one, limit))
                 readers[-1].open()
                 stack.callback(_close, readers[-1])
         kinds: dict[str, str] = {}
         for connection in chain.from_iterable(reader.connections for reader in readers):
             kinds.setdefault(connection.topic, _kind_of(connection))
-        yield Bag(path, kinds, tuple(readers))
+        yield Bag(path, kinds, limit, tuple(readers), "zstd" if compression == _OF_MESSAGES else "")
 
 
-def _close(reader: Reader) -> None:
+_OF_FILES, _OF_MESSAGES = "file", "message"
+
+
+def _compression(path: Path) -> str:
+    """Return the compression mode that the folder of a recording declares; "" without one."""
+    metadata = path / "metadata.yaml"
+    if not path.is_dir() or not metadata.is_file():
+        return ""
+    pairs = (line.partition(":") for line in metadata.read_text(encoding="utf-8").splitlines())
+    modes = [value.strip(" \"'").lower() for key, _, value in pairs if key.strip() == "compression_mode"]
+    return next((mode for mode in modes if mode in (_OF_FILES, _OF_MESSAGES)), "")
+
+
+def _files(path: Path, compression: str) -> list[Path]:
+    """Return the storage files of a recording in order; its folder if it is of databases."""
+    if not path.is_dir():
+        return [path]
+    if compression == _OF_FILES:
+        return _numbered(path, "*.zstd")
+    return _numbered(path, "*.mcap") or (_numbered(path, "*.db3") if compression else []) or [path]
+
+
+def _unpacked_file(path: Path, folder: Path, limit: MemoryLimit) -> Path:
+    """Unpack a storage file into a folder, within a limit."""
+    import zstandard
+
+    target = folder / path.stem
+    with path.open("rb") as packed, target.open("wb") as file:
+        stream = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+        while chunk := stream.read(2**20):
+            file.write(chunk)
+            limit.check(file.tell(), "unpacked content")
+    return target
+
+
+class _InUri(type(Path())):  # type: ignore[misc]
+    """Path that is quoted when it is formatted, since rosbags puts it into the URI of a database."""
+
+    def __format__(self, spec: str) -> str:
+        return quote(os.fsencode(self))
+
+
+def _reader(path: Path, limit: MemoryLimit) -> Any:
+    """Return the reader of a storage file, or of a folder with databases."""
+    from rosbags.rosbag2 import Reader
+
+    if path.suffix.lower() == ".mcap":
+        return McapReader(path, limit)
+    for one in path.glob("*.db3") if path.is_dir() else [path]:
+        uri = f"file:{quote(os.fsencode(one.absolute()))}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(uri, uri=True)) as connection:
+            for table in ("topics", "messages"):
+                check_stored(connection, table, one)
+    return Reader(_InUri(path))
+
+
+def _close(reader: Any) -> None:
     with contextlib.suppress(Exception):  # nothing is lost in a recording that is only read
         reader.close()
 
@@ -494,11 +566,11 @@ def reading_errors(path: Path, what: str) -> Iterator[None]:
         raise InputError(found, "a whole one of ROS 2 (ros2 bag reindex, mcap recover)", path=path) from error
 
 
-def _mcap_files(folder: Path) -> list[Path]:
-    """Return the MCAP files of a folder in numerical order."""
+def _numbered(folder: Path, pattern: str) -> list[Path]:
+    """Return the files of a folder in numerical order."""
 
     def number(path: Path) -> tuple[int, str]:
-        last = path.stem.rpartition("_")[2]
+        last = path.name.partition(".")[0].rpartition("_")[2]
         return (int(last) if last.isdecimal() else -1), path.name
 
-    return sorted((one for one in folder.glob("*.mcap") if one.is_file()), key=number)
+    return sorted((one for one in folder.glob(pattern) if one.is_file()), key=number)

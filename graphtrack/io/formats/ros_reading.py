@@ -421,7 +421,7 @@ class _Columns:
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
     """Return rows of a recording by the options ``topic``, ``fixed_frame`` and ``classes``."""
-    with open_bag(path) as bag:
+    with open_bag(path, options.limit(path)) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)
         kind = bag.topics[topics[0]]
         try:
@@ -459,7 +459,7 @@ def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int
 
 def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
     """Return whether messages lack stamps: a simulation's first stamp may be 0, but not the second."""
-    with open_bag(bag.path) as other:
+    with open_bag(bag.path, bag.limit) as other:
         frames = other.decoded(kind, topics[:1], partial(frame_of, kind=kind))
         first = [frame.stamp for _, frame in islice(frames, 2)]
     return bool(first) and not any(first)

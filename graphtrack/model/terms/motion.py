@@ -87,6 +87,28 @@ ADD_MOTION = Kernel(
 ADD_FIRST_VELOCITY = Kernel(add_first_velocity, gate="velocity_information", variables=("velocity",))
 
 
+LARGEST_ROUNDING = 1e-3
+"""Of `rounding`. The error of an estimate by rounding is then within a tenth of its σ and of its variance."""
+
+_EPSILON = float(np.finfo(float).eps)
+
+
+def rounding(dt: Any, motion_information: Any, variance: Any) -> Any:
+    """Ratio of the rounding of a motion's information to that of a position's estimate.
+
+    A covariance from frames ``dt`` seconds apart has up to a hundred times this relative error.
+
+    Parameters
+    ----------
+    motion_information : 1/q in s³/m²
+    variance : of the estimated position, m²
+    """
+    return 12.0 * _EPSILON * motion_information / (dt * dt * dt) * variance
+
+
+rounding_in_frame = compiled(rounding)
+
+
 class Motion(Term):
     """White-noise acceleration between frames, and a broad prior on the first velocity of a track."""
 

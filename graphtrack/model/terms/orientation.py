@@ -206,14 +206,18 @@ def add_class_quarter_turns(
     cost[3] -= math.log(back)
 
 
+NOT_NEGATIVE = math.log(2.0)
+"""Constant in the cost of an observed angle with outliers, so that Gauss–Newton's residuals never exceed it:
+with the inlier's probability p at f = κ·(1 − cos Δ), −log(e^−f + u) − p·f is at least −log 2."""
+
+
 @compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """Return the cost of `add_angle` at a deviation whose cosine is ``close``."""
     far = kappa * (1.0 - close)
     if not any_of(uniform > 0.0):
         return far
-    # As in the factor: never negative, since the resultant is at most κ.
-    return choose(uniform > 0.0, 2.0 * kappa - log((exp(-far) + uniform) / (1.0 + uniform)), far)
+    return choose(uniform > 0.0, NOT_NEGATIVE - log((exp(-far) + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -249,7 +253,7 @@ def add_angle(
     else:
         hessian[place, place] += inlier * kappa
     # As in `angle_cost`.
-    return choose(uniform > 0.0, 2.0 * kappa - math.log((value + uniform) / (1.0 + uniform)), far)
+    return choose(uniform > 0.0, NOT_NEGATIVE - math.log((value + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -328,8 +332,8 @@ class _PoseLikelihood(Term):
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ of the negative log densities, each plus a constant that keeps it from being negative.
 
-        For mixtures that is 2κ and the log of the highest density, since −log L − R·(1 − cos) is no less than
-        minus both: the resultant R of the components is at most κ.
+        That is the log of the highest density and, for angles, `NOT_NEGATIVE`; for classes 2κ, since
+        −log L − R·(1 − cos) is no less than minus both: the resultant R of the components is at most κ.
         """
         likelihood, n = self.parameters.likelihood, len(track)
         estimate = getattr(states, self.name)
@@ -350,7 +354,7 @@ class _PoseLikelihood(Term):
             if uniform == 0.0:
                 return total + float(np.sum(kappas * (1.0 - np.cos(at - mean))))
             density = mixture_log_density(at, mean[:, None], np.ones((len(at), 1)), kappas, uniform)
-            total += float(np.sum(highest_log_density(kappas, uniform) + 2.0 * kappas - density))
+            total += float(np.sum(highest_log_density(kappas, uniform) + NOT_NEGATIVE - density))
         return total
 
     def live(self, observed: Observation) -> Sequence[tuple[str, float]]:
@@ -377,7 +381,7 @@ class _PoseLikelihood(Term):
         if angle is not None:
             kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)[np.isfinite(angle) & ~by_class]
             uniform = likelihood.outlier_probability
-            constant = highest_log_density(kappas, uniform) + (2.0 * kappas if uniform > 0.0 else 0.0)
+            constant = highest_log_density(kappas, uniform) + (NOT_NEGATIVE if uniform > 0.0 else 0.0)
             total -= float(np.sum(constant))
         return total
 

@@ -33,6 +33,16 @@ def robust_loss(distance: FloatArray, likelihood: LikelihoodParameters) -> Float
     return 0.5 * distance**2
 
 
+def robust_weights(distance: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
+    """Weights of iteratively reweighted least squares for residuals ``distance`` standard deviations long."""
+    k = likelihood.robust_threshold
+    if likelihood.robust == "huber":
+        return k / np.maximum(distance, k)
+    if likelihood.robust == "cauchy":
+        return 1.0 / (1.0 + (distance / k) ** 2)
+    return np.ones_like(distance)
+
+
 def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters) -> gtsam.noiseModel.Base:
     """The noise model, with the robust loss of the parameters."""
     estimators = gtsam.noiseModel.mEstimator

@@ -1,0 +1,83 @@
+"""Channels of tracks and observations that a model does not use."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.model import Model
+from graphtrack.model.observation import CHANNELS
+from graphtrack.tracks.given import AXES, unused_note, with_position_noise
+from graphtrack.tracks.schema import COLUMNS
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
+
+_OF_ESTIMATES = ("velocity", "covariance", "aligned_p", "gait_offset", "glance_p")
+_OF_TRACKS = ("identity_p", "observed", "true_position", "true_body", "true_head")
+CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
+
+BoolArray = NDArray[np.bool_]
+
+
+def never_used(model: Model, camera: GroundCamera | None) -> tuple[str, ...]:
+    """Return the channels of observations that a smoother with a model uses in no case."""
+    if model.own_terms:
+        return ()  # they may read everything
+    found = ["score"] + ["pixel"] * (camera is None)
+    found += [name for name in CHANNELS if name.startswith("body") and not model.has_body]
+    return (*found, *(name for name in CHANNELS if name.startswith("head") and not model.has_head))
+
+
+EVIDENCE = ("score", "body_deg", "head_deg", *(f"{n}_p{k}" for n, c in CLASSES.items() for k in range(c)))
+"""Columns that the association of detections reads, whatever the model."""
+
+
+def unused_columns(model: Model, camera: GroundCamera | None) -> list[str]:
+    """Return the columns of a stream's rows that are not used in any case."""
+    if model.own_terms:
+        return []
+    fields = {*never_used(model, camera), *_OF_ESTIMATES, *_OF_TRACKS}
+    return [one.name for one in COLUMNS if one.field in fields and one.name not in ("x_std", "y_std")]
+
+
+def notes_on(tracks: Collection[Track], model: Model, camera: GroundCamera | None) -> list[str]:
+    """Return notes on what a solver with a model does with channels that tracks have."""
+    took_axes = any(with_position_noise(track) is not track for track in tracks)
+    notes = [AXES] if took_axes else []
+    if model.own_terms:
+        return notes
+    fields = {name for track in tracks for name in _unused(track, model, camera)}
+    axes = ("x_std", "y_std") if took_axes else ()
+    user = f"the model {model.preset!r}"
+    return notes + unused_note(tracks, lambda c: c.field in fields and c.name not in axes, user)
+
+
+def _unused(track: Track, model: Model, camera: GroundCamera | None) -> list[str]:
+    """Return the fields with values that the solver reads in no row, or that another one overrules."""
+    in_image = camera is not None and model.parameters.likelihood.image_frame
+    pixel = _rows(track, "pixel") & in_image
+    found = [*_OF_ESTIMATES]
+    if track.identity_p is None:  # else the identities were found with it
+        found.append("score")
+    if not pixel.any():
+        found.append("pixel")
+    if (_rows(track, "position") & pixel).any() or not _rows(track, "position").any():
+        found.append("position_std")
+    for name in ("body", "head"):
+        classes, angle = _rows(track, f"{name}_likelihood"), _rows(track, name)
+        if not getattr(model, f"has_{name}"):
+            found += [name, f"{name}_kappa", f"{name}_likelihood"]
+            continue
+        found += [name] * bool((classes & angle).any())
+        found += [f"{name}_kappa"] * (not (angle & ~classes).any())
+    return found
+
+
+def _rows(track: Track, name: str) -> BoolArray:
+    """Return (n,) True where a track has a channel."""
+    values = channel_of(track, name)
+    if values is None:
+        return np.zeros(len(track), bool)
+    return np.asarray(np.isfinite(values.reshape(len(track), -1)).all(axis=1))

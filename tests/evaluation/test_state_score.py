@@ -1,0 +1,172 @@
+"""Errors of states: plain arithmetic, calibration, and rows compared with the people that they match."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+from typer.testing import CliRunner
+
+import graphtrack as gt
+from graphtrack import Track
+from graphtrack.cli.commands import app
+from graphtrack.tracks.track import TrackSet
+
+SPREAD = np.array([0.1, 0.2, 0.3, 0.3, np.radians(10.0), np.radians(20.0)])
+
+
+def scene(honest: float = 1.0, n: int = 400, people: int = 3) -> tuple[TrackSet, TrackSet]:
+    """Estimates whose errors have ``honest`` times the stated standard deviations, and the truth."""
+    rng = np.random.default_rng(1)
+    estimates, truth = [], []
+    for k in range(people):
+        t = 0.1 * np.arange(n)
+        position = np.column_stack([t, np.full(n, 2.0 * k)])
+        body, head = np.full(n, 3.1), np.zeros(n)
+        error = honest * SPREAD * rng.standard_normal((n, 6))
+        covariance = np.tile(np.diag(SPREAD**2), (n, 1, 1))
+        found = Track(
+            k, np.arange(n), t, position + error[:, :2], body=body + error[:, 4], head=head + error[:, 5]
+        )
+        velocity = np.array([1.0, 0.0]) + error[:, 2:4]
+        estimates.append(replace(found, velocity=velocity, covariance=covariance))
+        truth.append(Track(k, np.arange(n), t, position, body=body, head=head))
+    return TrackSet(tuple(estimates)), TrackSet(tuple(truth))
+
+
+def row(score: gt.StateScore, quantity: str) -> dict[str, float]:
+    return next(one for one in score.rows if one["quantity"] == quantity)
+
+
+def test_errors_are_those_of_plain_arithmetic() -> None:
+    estimates, truth = scene()
+    found = gt.score_states(estimates, truth)
+    assert [one["quantity"] for one in found.rows] == ["position", "velocity", "body", "head"]
+    distances = np.concatenate(
+        [np.linalg.norm(a.position - b.position, axis=1) for a, b in zip(estimates, truth, strict=True)]
+    )
+    position = row(found, "position")
+    assert position["rmse"] == pytest.approx(np.sqrt(np.mean(distances**2)))
+    assert position["mae"] == pytest.approx(distances.mean())
+    assert position["median"] == pytest.approx(np.median(distances))
+    assert position["frames"] == 1200 and position["tracks"] == 3
+    degrees = np.degrees(
+        np.concatenate(
+            [np.angle(np.exp(1j * (a.body - b.body))) for a, b in zip(estimates, truth, strict=True)]
+        )
+    )
+    assert row(found, "body")["rmse"] == pytest.approx(np.sqrt(np.mean(degrees**2)))
+
+
+@pytest.mark.parametrize("honest", [1.0, 2.0])
+def test_coverage_and_nees_are_those_of_the_chi_squared_distribution(honest: float) -> None:
+    found = gt.score_states(*scene(honest))
+    for quantity, degrees in (("position", 2), ("velocity", 2), ("body", 1), ("head", 1)):
+        expected = chi2.cdf(chi2.ppf(0.95, degrees) / honest**2, degrees)
+        assert row(found, quantity)["coverage_95"] == pytest.approx(expected, abs=0.03)
+        assert row(found, quantity)["nees"] == pytest.approx(honest**2, rel=0.1)
+        low, high = chi2.ppf([0.025, 0.975], 3 * degrees) / (3 * degrees)
+        assert row(found, quantity)["nees_low"] == pytest.approx(low)
+        assert row(found, quantity)["nees_high"] == pytest.approx(high)
+
+
+def test_frames_are_matched_by_time() -> None:
+    estimates, truth = scene()
+    later = truth.map(lambda track: track[100:])
+    assert row(gt.score_states(estimates, later), "head")["frames"] == 900
+    between = truth.map(lambda track: replace(track, t=track.t + 0.05))
+    assert gt.score_states(estimates, between).rows == ()
+    two = TrackSet(tuple(truth)[:2])
+    assert row(gt.score_states(estimates, two), "position")["tracks"] == 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.permutations(range(3)), st.integers(0, 5))
+def test_identities_of_the_estimates_do_not_matter(numbers: list[int], first: int) -> None:
+    """An associated track may have the number of any person: its errors are those of its own."""
+    estimates, truth = scene(n=60)
+    expected = gt.score_states(estimates, truth)
+    found = estimates.with_tracks(
+        replace(track, track_id=first + number) for track, number in zip(estimates, numbers, strict=True)
+    )
+    assert gt.score_states(found, truth).rows == expected.rows
+
+
+@pytest.mark.parametrize("switch", [10, 30, 50])
+def test_a_track_that_switches_has_the_errors_of_each_of_its_people(switch: int) -> None:
+    estimates, truth = scene(n=60)
+    first, second, third = estimates
+
+    def joined(a: Track, b: Track) -> Track:
+        late = np.arange(60) >= switch
+        return replace(
+            a,
+            position=np.where(late[:, None], b.position, a.position),
+            velocity=np.where(late[:, None], b.velocity, a.velocity),
+            body=np.where(late, b.body, a.body),
+            head=np.where(late, b.head, a.head),
+        )
+
+    switched = TrackSet((joined(first, second), joined(second, first), third))
+    for one, other in zip(
+        gt.score_states(switched, truth).rows, gt.score_states(estimates, truth).rows, strict=True
+    ):
+        assert one["rmse"] == pytest.approx(other["rmse"])
+
+
+def test_large_errors_of_known_people_are_not_left_out() -> None:
+    """Rows beyond the distance of a match are compared by track_id where both have the same identities."""
+    estimates, truth = scene(n=60)
+    lost = estimates[0].position.copy()
+    lost[40:50] += 5.0
+    known = estimates.with_tracks([replace(estimates[0], position=lost), *estimates[1:]])
+    found = gt.score_states(known, truth)
+    assert row(found, "position")["frames"] == 180
+    assert row(found, "position")["rmse"] == pytest.approx(5.0 * np.sqrt(2.0 * 10.0 / 180.0), rel=0.02)
+    assert found.notes == ("10 rows not within 1 m of anybody: compared by track_id",)
+    other = gt.score_states(known.map(lambda track: replace(track, track_id=track.track_id + 1)), truth)
+    assert row(other, "position")["frames"] == 170 and row(other, "position")["rmse"] < 0.3
+    assert other.notes == ("10 rows not within 1 m of anybody at the same time: not compared",)
+
+
+def test_each_person_may_have_times_of_their_own() -> None:
+    estimates, truth = scene(n=60)
+
+    def shifted(tracks: TrackSet) -> TrackSet:
+        return tracks.with_tracks(replace(track, t=track.t + 0.03 * k) for k, track in enumerate(tracks))
+
+    expected = row(gt.score_states(estimates, truth), "position")
+    assert row(gt.score_states(shifted(estimates), shifted(truth)), "position") == expected
+    renamed = shifted(estimates).map(lambda track: replace(track, track_id=track.track_id + 1))
+    assert row(gt.score_states(renamed, shifted(truth)), "position") == expected
+
+
+def test_what_is_not_known_is_named() -> None:
+    estimates, truth = scene()
+    bare = estimates.map(lambda track: replace(track, covariance=None, velocity=None, head=None))
+    found = gt.score_states(bare, truth)
+    assert [one["quantity"] for one in found.rows] == ["position", "body"]
+    assert row(found, "body")["coverage_95"] is None
+    assert any(note.startswith("head: not in both") for note in found.notes)
+    assert any(note.startswith("position: no uncertainty in the estimates") for note in found.notes)
+
+
+def test_the_command_prints_and_writes_them(tmp_path: Path) -> None:
+    estimates, truth = scene(n=60)
+    gt.write(estimates, tmp_path / "smoothed.csv")
+    gt.write(truth, tmp_path / "truth.csv")
+    out = tmp_path / "score.json"
+    arguments = ["score", str(tmp_path / "smoothed.csv"), "--truth", str(tmp_path / "truth.csv")]
+    result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "95 % covers" in result.output and "NEES" in result.output
+    states = json.loads(out.read_text())["states"]
+    expected = gt.score_states(estimates, truth).to_dict()["rows"]
+    for one, other in zip(states["rows"], expected, strict=True):
+        assert one["rmse"] == pytest.approx(other["rmse"], rel=1e-3)

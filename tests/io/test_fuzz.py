@@ -1,0 +1,340 @@
+"""Random files: every reader returns or raises a `GraphtrackError` of one line; new examples every day."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
+from input_readers import OPTION_FILES, InputReader, format_readers
+from mutations import mutate
+
+from graphtrack import io
+from graphtrack.errors import GraphtrackError
+from graphtrack.io.formats.mot import read_coco
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source
+from perception.models import load_classifier, model_path
+from perception.storage import load_model
+
+SEED = int(os.environ.get("GRAPHTRACK_FUZZ_SEED", datetime.date.today().toordinal()))
+"""The number of the day; a failure is repeated with the environment variable."""
+
+FOLDER = TemporaryDirectory()
+READERS = (*OPTION_FILES, *format_readers(Path(FOLDER.name)))
+BY_LABEL = {one.label: one for one in READERS}
+
+FEW = settings(max_examples=15, deadline=None, derandomize=False, database=None)
+MANY = settings(
+    FEW,
+    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000")),
+    suppress_health_check=list(HealthCheck),
+)
+
+WORDS = st.sampled_from(
+    [
+        "",
+        "\0",
+        "-",
+        "nan",
+        "1e999",
+        "1" * 5000,
+        "0x1",
+        "[" * 500,
+        '"',
+        "'",
+        ",",
+        ";",
+        "\n",
+        "\r\n",
+        "=",
+        "]",
+        "}",
+        "\u202e",
+        "\ud800".encode("utf-8", "surrogatepass").decode("latin-1"),
+        "a" * 140_000,
+        "true",
+        "null",
+        "-0",
+        "CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))",
+        "2026-11-23T10:00:00",
+        "{}",
+        "*",
+        "\ufeff",
+        "1,5",
+        "1.5.5",
+        "x_0",
+    ]
+)
+
+
+def reads(one: InputReader, content: bytes) -> None:
+    """Read a content; other exceptions than of this package pass, with the seed."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = one.write(Path(folder), content)
+        refused_or_read(lambda: one.read(path))
+
+
+def refused_or_read(read: Any) -> None:
+    try:
+        read()
+    except GraphtrackError as error:
+        assert "\n" not in str(error)
+    except Exception as error:
+        error.add_note(f"GRAPHTRACK_FUZZ_SEED={SEED}")
+        raise
+
+
+def mutated(label: str, data: st.DataObject) -> bytes:
+    """Return the content of a reader's example with some bytes, cells, lines or words changed."""
+    content = BY_LABEL[label].content
+    kind = data.draw(st.integers(0, 3))
+    if kind == 0:
+        return mutate(content, np.random.default_rng(data.draw(st.integers(0, 2**32))))
+    if kind == 1:
+        return data.draw(st.binary(max_size=200))
+    start = data.draw(st.integers(0, len(content)))
+    end = data.draw(st.integers(start, min(len(content), start + 40)))
+    if kind == 2:
+        words = data.draw(st.lists(WORDS, min_size=1, max_size=3))
+        return content[:start] + "".join(words).encode() + content[end:]
+    times = data.draw(st.integers(2, 30))
+    return content[:start] + content[start:end] * times + content[end:]
+
+
+def fuzzed(test: Any) -> Any:
+    """Run a test with the seed of the day, a little in CI and much with the slow tests."""
+    amounts = [pytest.param(FEW, id="few"), pytest.param(MANY, id="many", marks=pytest.mark.slow)]
+    return pytest.mark.parametrize("amount", amounts)(test)
+
+
+@fuzzed
+@pytest.mark.parametrize("label", sorted(BY_LABEL))
+def test_changed_contents(label: str, amount: settings) -> None:
+    @amount
+    @seed(SEED)
+    @given(st.data())
+    def run(data: st.DataObject) -> None:
+        reads(BY_LABEL[label], mutated(label, data))
+
+    run()
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just(10**400),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=8,
+)
+
+
+@st.composite
+def changed_json(draw: st.DrawFn, value: Any) -> Any:
+    """Return a JSON value with one of its parts replaced by any other."""
+    if isinstance(value, dict | list) and value and draw(st.integers(0, 4)):
+        keys = list(value) if isinstance(value, dict) else list(range(len(value)))
+        key = draw(st.sampled_from(keys))
+        inner = draw(changed_json(value[key]))
+        if isinstance(value, dict):
+            return {**value, key: inner}
+        return [*value[:key], inner, *value[key + 1 :]]
+    return draw(JSON)
+
+
+COCO = {
+    "images": [{"id": 1, "file_name": "a_0001.jpg"}, {"id": 2, "file_name": "a_0002.jpg"}],
+    "categories": [{"id": 1, "name": "person", "keypoints": []}],
+    "annotations": [
+        {"image_id": k, "bbox": [1, 2, 30, 40], "category_id": 1, "track_id": 5, "score": 0.5, "iscrowd": 0}
+        for k in (1, 2)
+    ],
+}
+MMPOSE = [
+    {
+        "frame_id": 0,
+        "instances": [{"keypoints": [[1, 2]] * 17, "keypoint_scores": [0.5] * 17, "bbox": [[1, 2, 3, 4]]}],
+    }
+]
+MMPOSE_SCRIPT = {"instance_info": MMPOSE, "meta_info": {"keypoint_id2name": {"0": "nose", "1": "left_eye"}}}
+OPENPOSE = {"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.5] * 25}]}
+DOCUMENTS = {
+    "coco-detections": COCO,
+    "coco-detections, format given": COCO["annotations"],
+    "keypoints": json.loads(BY_LABEL["keypoints"].content),
+    "walkable GeoJSON": json.loads(BY_LABEL["walkable GeoJSON"].content),
+    "stream": json.loads(BY_LABEL["stream"].content),
+    "ndjson-made": json.loads(BY_LABEL["ndjson-made"].content.split(b"\n")[0]),
+    "trajnet-made.trajnet": json.loads(BY_LABEL["trajnet-made.trajnet"].content.split(b"\n")[-2]),
+}
+
+
+@fuzzed
+@pytest.mark.parametrize(
+    ("label", "document"),
+    [*DOCUMENTS.items(), ("keypoints", MMPOSE), ("keypoints", MMPOSE_SCRIPT), ("keypoints", OPENPOSE)],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_json_of_other_types(label: str, document: Any, amount: settings) -> None:
+    @amount
+    @seed(SEED)
+    @given(changed_json(document))
+    def run(content: Any) -> None:
+        reads(BY_LABEL[label], json.dumps(content).encode())
+
+    run()
+
+
+CELLS = (
+    st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats() | st.text(max_size=5)
+) | st.binary(max_size=4)
+COLUMN_TYPES = st.sampled_from(
+    [
+        pa.float64(),
+        pa.int8(),
+        pa.uint64(),
+        pa.bool_(),
+        pa.string(),
+        pa.large_string(),
+        pa.binary(),
+        pa.null(),
+        pa.timestamp("ns", "UTC"),
+        pa.timestamp("s"),
+        pa.date32(),
+        pa.time64("us"),
+        pa.duration("ms"),
+        pa.decimal128(9, 2),
+        pa.list_(pa.float64()),
+        pa.list_(pa.float32(), 2),
+        pa.struct([("a", pa.int8())]),
+        pa.map_(pa.string(), pa.int8()),
+        pa.dictionary(pa.int8(), pa.string()),
+        pa.float16(),
+        pa.binary(3),
+        pa.dictionary(pa.int8(), pa.int64()),
+        pa.string_view(),
+    ]
+)
+NAMES_OF_TABLE = (
+    "track_id",
+    "frame",
+    "t",
+    "x",
+    "y",
+    "head_deg",
+    "head_p0",
+    "label",
+    "input_a",
+    "u",
+    "id",
+    "time",
+)
+
+
+def value_of(kind: pa.DataType, k: int) -> Any:
+    """Return a value of a type of Arrow."""
+    known: list[Any] = [k, float(k), str(k), bytes([65, 66, 48 + k]), datetime.datetime(2026, 1, 1 + k)]
+    known += [datetime.date(2026, 1, 1 + k), datetime.time(k), datetime.timedelta(k), [k, k], [[k, k]]]
+    known += [{"a": k}, [("a", k)], True, None]
+    for value in known:
+        try:
+            pa.array([value], kind)
+        except (pa.ArrowException, TypeError, ValueError, OverflowError):
+            continue
+        return value
+    return None
+
+
+@fuzzed
+def test_parquet_of_other_types(amount: settings, tmp_path: Path) -> None:
+    @amount
+    @seed(SEED)
+    @given(st.dictionaries(st.sampled_from(NAMES_OF_TABLE), COLUMN_TYPES, max_size=3), st.booleans())
+    def run(types: dict[str, pa.DataType], with_null: bool) -> None:
+        columns: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
+        columns |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
+        for name, kind in types.items():
+            values = [value_of(kind, k) for k in range(3)]
+            columns[name] = pa.array([None, *values[1:]] if with_null else values, kind)
+        try:
+            pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+        except pa.ArrowException:  # of a type that Parquet lacks
+            return
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet"))
+            refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet", columns="id=track_id,t=t"))
+
+    run()
+
+
+@fuzzed
+def test_tables_in_memory_of_other_types(amount: settings) -> None:
+    odd = CELLS | st.just(10**400) | st.just([1.0, 2.0]) | st.just([1.0]) | st.just({"a": 1}) | st.just(pd.NA)
+    odd = odd | st.just(pd.NaT) | st.just(np.array([1.0])) | st.just(np.float32(1)) | st.just(1j)
+
+    @amount
+    @seed(SEED)
+    @given(
+        st.dictionaries(st.sampled_from(NAMES_OF_TABLE), st.lists(odd, min_size=3, max_size=3), max_size=3)
+    )
+    def run(columns: dict[str, list[Any]]) -> None:
+        table: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
+        table |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
+        for name, cells in columns.items():
+            table[name] = np.empty(3, dtype=object)
+            table[name][:] = cells
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            refused_or_read(lambda: io.read_identified(pd.DataFrame(table)))
+            refused_or_read(lambda: io.read_identified(table, columns="id=track_id,t=t"))
+
+    run()
+
+
+@fuzzed
+def test_model_files(amount: settings, tmp_path: Path) -> None:
+    card = json.loads(str(np.load(model_path("templates"))["card"]))
+    arrays = {name: values for name, values in np.load(model_path("templates")).items() if name != "card"}
+
+    @amount
+    @seed(SEED)
+    @given(
+        changed_json(card), st.sampled_from([*arrays]), st.sampled_from(["", "drop", "shape", "text", "cut"])
+    )
+    def run(content: Any, name: str, change: str) -> None:
+        changed: dict[str, Any] = dict(arrays)
+        if change == "drop":
+            del changed[name]
+        elif change:
+            shaped = {"shape": np.zeros((2, 0, 3)), "text": np.array("a"), "cut": np.ravel(arrays[name])[:1]}
+            changed[name] = shaped[change]
+        path = tmp_path / "a.npz"
+        np.savez_compressed(path, card=np.array(json.dumps(content)), **changed)
+        refused_or_read(lambda: load_model(path)[0].text())
+        refused_or_read(lambda: load_classifier("templates", path))
+
+    run()
+
+
+def test_deep_cards_and_coco_categories(tmp_path: Path) -> None:
+    for deep in ("[" * 900 + "]" * 900, "[" * 50_000 + "]" * 50_000):
+        path = tmp_path / "deep.npz"
+        np.savez(path, card=np.array('{"kind": "templates", "parameters": {"a": ' + deep + "}}"))
+        with pytest.raises(GraphtrackError, match="something else"):
+            load_model(path)
+    for category in ({"a": 1}, [1], None):
+        document = {**COCO, "annotations": [{**COCO["annotations"][0], "category_id": category}]}
+        source = Source(Path("a.json"), json.dumps(document).encode())
+        with pytest.raises(GraphtrackError, match="category_id"):
+            read_coco(source, ReadOptions(fps=10.0, metres_per_pixel=0.01))
