@@ -297,6 +297,7 @@ class TrackAnswers(Answering):
         if verdict != "plausible":
             self._take_waiting()
         if verdict == "unconfirmed":
+            self.note_unconfirmed(observation.t, self.clock)
             self.clock.wait(track_id, observation, self._bounds.people)
             answers.append(estimate_row(track_id, smoother.unchanged(observation, "unconfirmed")))
             return
@@ -549,6 +550,7 @@ class Scenes(Answering):
         self.before_change(name)
         self._see(name, frame, None if verdict == "unconfirmed" else one.t)
         if verdict == "unconfirmed":
+            self.note_unconfirmed(one.t, frame.clock)
             frame.clock.wait(number, one, MOST_DETECTIONS)
             counts = {"detections": len(_detections(frame.clock.waiting)), "status": "unconfirmed"}
             return [_of_stream(name) | {"end": one.t} | counts]

@@ -83,7 +83,7 @@ class StreamClock(Saved):
         self.now, self.waiting = rows[0][1].t, []
         is_earlier = self.now < before
         end = "the stream begins again" if is_earlier else "the stream goes on there"
-        return f"time jumped from {before:.6g} s to {self.now:.6g} s: {end}", is_earlier, rows
+        return f"time jumped from {before:.15g} s to {self.now:.15g} s: {end}", is_earlier, rows
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""

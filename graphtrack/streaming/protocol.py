@@ -18,6 +18,7 @@ from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
+from graphtrack.streaming.clock import StreamClock
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
@@ -91,6 +92,7 @@ class Answering:
         unused: Collection[str] = (),
     ) -> None:
         self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known, unused)
+        self._has_noted_jump = False
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda key: None
@@ -114,6 +116,15 @@ class Answering:
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
+
+    def note_unconfirmed(self, t: float, clock: StreamClock) -> None:
+        """Note the first row whose time (seconds) is implausible."""
+        if not self._has_noted_jump:
+            self._has_noted_jump = True
+            self._note(
+                f"a row with t = {t:.15g} s, more than {clock.limit:g} s from {clock.now:.15g} s, is "
+                "unconfirmed until the next row agrees; --forget-after allows longer steps"
+            )
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """Return the answers to a line of input."""
