@@ -307,6 +307,15 @@ class OnlineAssociation(Moves, Saved):
         found: FloatArray = there / (there + left)
         return found
 
+    def number_from(self, first: int) -> None:
+        """Number new tracks from a track id on."""
+        self._next = first
+
+    @property
+    def next_number(self) -> int:
+        """Track id of the next new track."""
+        return self._next
+
     def remembered(self) -> set[int]:
         """The track ids that may be detected again."""
         return set(self._notes.reported.tolist())

@@ -257,6 +257,15 @@ class DetectionTracker(Saved):
             self._people[integer(saved["track_id"])] = person
 
     @property
+    def next_number(self) -> int:
+        """Track id of the next new person."""
+        return self._association.next_number
+
+    def number_from(self, first: int) -> None:
+        """Number new people from a track id on."""
+        self._association.number_from(first)
+
+    @property
     def updates(self) -> int:
         """Number of updates."""
         return self._association.updates

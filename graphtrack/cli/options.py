@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import re
 import types
@@ -316,8 +317,17 @@ def _parameters(given: Mapping[str, tuple[Any, Any]], *texts: str | None) -> Ite
         if isinstance(info, typer.models.OptionInfo) and not isinstance(info.default, str):
             own = option_name(name)
             info.param_decls = (f"{own}/--no-{own[2:]}" if kind == bool | None else own,)
+        if kind is float or float in get_args(kind):
+            info.callback = _finite
         hint = Annotated[kind, info]
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+
+
+def _finite(value: float | None) -> float | None:
+    """Refuse infinity and NaN, which satisfy most bounds, as the value of an option."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number.")
+    return value
 
 
 def command_of(function: Callable[..., None]) -> Callable[..., None]:

@@ -16,9 +16,11 @@ from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
 
 if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.engines import OnlineEngine
     from graphtrack.model import Model
     from graphtrack.streaming.answers import Asked
+    from graphtrack.streaming.session import Answers
     from graphtrack.tracks.table import Rows
 
 
@@ -31,6 +33,8 @@ def track(
     lag: Annotated[str, typer.Option(metavar="SECONDS|none")] = "2",
     state: Annotated[Path | None, typer.Option(dir_okay=False)] = None,
     save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
+    forget_after: Annotated[float | None, typer.Option(metavar="SECONDS", min=1.0)] = None,
+    max_people: Annotated[int | None, typer.Option(min=1)] = None,
     forecast: options.Seconds | None = None,
     groups: bool = False,
     attention: bool = False,
@@ -53,6 +57,9 @@ def track(
     state : Save the state in this file, and resume from it. A row is saved before it is answered.
     save_every : Seconds between flushes of --state to disk, the most that a power failure loses. A killed
         process loses nothing.
+    forget_after : Seconds of the stream without a row until a person, or one of several streams of
+        detections, is forgotten; by default 60.
+    max_people : Most people with identities at one time; by default 10000.
     forecast : Predict positions every 0.4 s up to this many seconds ahead.
     groups : Report conversation groups and people walking together.
     attention : Report gaze targets: people and --places.
@@ -84,8 +91,23 @@ def track(
         if refused:
             names = ", ".join(map(options.option_name, refused))
             raise InputError(f"{names} with -", "these options with a file only")
-        horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
-        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked, walkable)
+        from graphtrack.geometry.walkable import WalkableArea
+        from graphtrack.streaming.answers import StreamBounds
+        from graphtrack.streaming.session import Answers
+
+        answers = Answers(
+            chosen,
+            engine,
+            kept,
+            reading.options().fps,
+            camera_of(reading.homography),
+            reading.options().associate,
+            horizon_of(forecast),
+            asked_of(groups, attention, places),
+            StreamBounds(max_people or StreamBounds.people, forget_after or StreamBounds.forget_after),
+            None if walkable is None else WalkableArea.of(walkable),
+        )
+        _track_stream(answers, reading, state, save_every)
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
@@ -98,6 +120,8 @@ def track(
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be resumed")
+    bounds_of_streams = {"--forget-after": forget_after, "--max-people": max_people}
+    options.refuse(bounds_of_streams, "with a file", "- as the input: these options are for streams")
     rows, are_detections = reading.rows(place_of(input))
     if are_detections:
         if reading.select:
@@ -189,37 +213,23 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
-def _track_stream(
-    model: Model,
-    engine: OnlineEngine,
-    lag: float | None,
-    reading: options.SceneReading,
-    state: Path | None,
-    save_every: float,
-    horizon: tuple[float, float] | None,
-    asked: Asked | None,
-    walkable: Path | None,
-) -> None:
+def camera_of(plane: Path | None) -> GroundCamera | None:
+    """Return the camera of a file with a homography; None: no file."""
+    if plane is None:
+        return None
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.io.cameras import read_homography
-    from graphtrack.streaming.protocol import StreamNames
-    from graphtrack.streaming.session import MOST_TOGETHER, Answers, Listener, track_stream
 
-    given = reading.options()
-    layout, plane = given.layout(), reading.homography
-    camera = None if plane is None else GroundCamera.from_homography(read_homography(plane))
-    answers = Answers(
-        model,
-        engine,
-        lag,
-        given.fps,
-        camera,
-        given.associate,
-        horizon,
-        asked,
-        walkable=None if walkable is None else WalkableArea.of(walkable),
-    )
+    return GroundCamera.from_homography(read_homography(plane))
+
+
+def _track_stream(
+    answers: Answers, reading: options.SceneReading, state: Path | None, save_every: float
+) -> None:
+    from graphtrack.streaming.protocol import StreamNames
+    from graphtrack.streaming.session import MOST_TOGETHER, Listener, track_stream
+
+    layout = reading.options().layout()
 
     def went_on(row: int, line: int, again: int) -> None:
         lines = "" if line == row else f" (the last is line {line})"
@@ -272,8 +282,8 @@ def serve(
     max_people: Annotated[int, typer.Option(min=1)] = 200,
     max_rate: Annotated[float, typer.Option(min=1.0)] = 5000.0,
     max_line: Annotated[int, typer.Option(min=256, max=1048576)] = 1 << 16,
-    forget_after: Annotated[float, typer.Option(min=1.0)] = 60.0,
-    patience: Annotated[float, typer.Option(min=1.0)] = 30.0,
+    forget_after: Annotated[float, typer.Option(metavar="SECONDS", min=1.0)] = 60.0,
+    patience: Annotated[float, typer.Option(metavar="SECONDS", min=1.0, max=86400.0)] = 30.0,
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics.
 
@@ -303,13 +313,12 @@ def serve(
     max_people : Most people with identities in a stream at one time.
     max_rate : Most rows a second of a stream; faster clients are throttled.
     max_line : Most bytes of a message.
-    forget_after : Seconds without a row until a person is dropped.
-    patience : Seconds that answers may stay unread, or pings unanswered.
+    forget_after : As in graphtrack track.
+    patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
+        stream's process (at least 10), which is killed then.
     """
-    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import check_lag, online_engine
-    from graphtrack.io.cameras import read_homography
     from graphtrack.model import Model
 
     try:
@@ -329,7 +338,7 @@ def serve(
         engine,
         lag,
         fps,
-        None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        camera_of(homography),
         asked=asked_of(groups, attention, places),
         horizon=horizon_of(forecast),
         bounds=StreamBounds(max_people, forget_after),

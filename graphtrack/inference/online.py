@@ -415,7 +415,7 @@ class OnlineSmoother:
         nearest = min(near, key=lambda k: abs(times[k] - observation.t))
         inserted = abs(times[nearest] - observation.t) >= SAME_TIME
         if inserted and place == 0:
-            return self._unchanged(observation, "too-late")
+            return self.unchanged(observation, "too-late")
         parts = dict(self._parts)
         try:
             template = Step(self._next_index, observation, camera=self.camera)
@@ -424,7 +424,7 @@ class OnlineSmoother:
                 known = parts.get(same.index, (same.observation,))
                 new = news(known, observation)
                 if new is None:
-                    return self._unchanged(observation, "duplicate")
+                    return self.unchanged(observation, "duplicate")
                 template = self._with_parts(same, (*known, new), parts)
             window = self._smoother.window()
             newest = self._smoother.rework(worked_in(window, template, place, inserted))
@@ -469,7 +469,7 @@ class OnlineSmoother:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         involved = [*(step.observation for step in self._smoother.steps), observation]
         reason = with_extreme_of(reason, involved, self.model)
-        return replace(self._unchanged(observation, "failed"), reason=reason)
+        return replace(self.unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
         none, nan = np.full(2, np.nan), math.nan
@@ -477,7 +477,8 @@ class OnlineSmoother:
             observation.t, observation.frame, none, none, nan, nan, np.full((6, 6), nan), "waiting"
         )
 
-    def _unchanged(self, observation: Observation, status: Status) -> Estimate:
+    def unchanged(self, observation: Observation, status: Status) -> Estimate:
+        """Return the last estimate, with a status, for an observation that is not used."""
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)

@@ -194,7 +194,7 @@ STATE_VERSION = 5
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """Errors of a smoother for an observation that it cannot use."""
 
-Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
+Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed", "unconfirmed"]
 Angles = tuple[float, float]
 Newest = tuple[FloatArray, FloatArray]
 """State (6,) and covariance (6, 6) of the newest step: calibrated by the compiled chain; inverse curvature
@@ -214,6 +214,7 @@ class Estimate:
     status : result of the observation. "new": in order. "late": out of sequence within the window, and
         used. "duplicate": known time and nothing new, ignored. "too-late": older than the window, ignored.
         "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
+        "unconfirmed": in streams, its time is far from the stream's; used once the next row agrees with it.
     reason : the reason of a failure
     aligned_p : probability that the body is aligned with the motion; NaN without modes
     gait_offset : expected angle from the direction of motion to the body, radians; NaN without modes

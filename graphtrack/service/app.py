@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import hmac
 import json
 import logging
@@ -34,11 +35,22 @@ from graphtrack.streaming.saved_state import StateInUse, remove
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429, 503: 1013}
 """HTTP status of a refused request → close code of a WebSocket."""
 _BROKEN, _NO_TEXT, _UNREAD = 1011, 1007, 1008
-_NOTICED = 2.0
-"""Seconds within which a disconnected client is detected."""
-_DROPPED, _TERMINATED = 2.0, 3.0
-"""Seconds after which a stopping service drops its connections and terminates its processes."""
+_NOTICED, _SAVED = 2.0, 5.0
+"""Seconds within which a disconnected client is detected, and its stream is saved in most cases."""
+_INTERVAL = 0.02
+_DROPPED, _KILLED = 2.0, 3.0
+"""Seconds after which a stopping service drops its connections and kills its processes."""
+_LACKING = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC)
+"""Errors of the system that may be gone at the next try."""
 _STOPPING = "the service is stopping; connect again"
+
+
+async def _until(holds: Callable[[], bool], seconds: float) -> None:
+    """Wait until a condition holds, or for some seconds."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            while not holds():
+                await asyncio.sleep(_INTERVAL)
 
 
 class Refused(Exception):
@@ -63,11 +75,11 @@ class Streams:
         self.connections = Connections(service.limits.patience)
         self.prepared, self.stopping = asyncio.Event(), asyncio.Event()
         self._running: set[Stream] = set()
-        self._open: dict[str, asyncio.Event] = {}
-        self._ending: dict[str, asyncio.Event] = {}
+        self._open: set[str] = set()  # until the process has ended
+        self._ending: set[str] = set()
 
     def names(self) -> list[str]:
-        """Return the names of open streams."""
+        """Return the names of streams with a process."""
         return sorted(self._open)
 
     @property
@@ -97,67 +109,74 @@ class Streams:
         await self.prepared.wait()
         if self.stopping.is_set():
             raise Refused(503, _STOPPING)
-        await self._left(name)
+        most = self.service.limits.streams
+        await self._left(name, "one at a time")
+        await _until(lambda: len(self._open) < most or not self._ending, _SAVED)
+        if len(self._open) >= most:
+            raise Refused(429, f"{len(self._open)} streams are open, the maximum")
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
-        if len(self._open) >= self.service.limits.streams:
-            raise Refused(429, f"{len(self._open)} streams are open, the maximum")
-        left = self._open[name] = asyncio.Event()
+        self._open.add(name)
         self.metrics.streams.inc()
         try:
             stream = await open_stream(name, self.service, self.metrics)
-            self._running.add(stream)
-            try:
-                yield stream
-            finally:
-                try:
-                    await asyncio.shield(self._ended(stream, left))
-                finally:
-                    self._running.discard(stream)
+        except (OSError, EOFError) as error:
+            self._release(name)
+            reason = getattr(error, "strerror", None) or "its processes cannot be started"
+            raise Refused(503, f"the service cannot open another stream now: {reason}; try again") from error
+        except BaseException:
+            self._release(name)
+            raise
+        self._running.add(stream)
+        try:
+            yield stream
         finally:
-            self._close(name, left)
+            await asyncio.shield(self._end(stream))
 
-    async def _ended(self, stream: Stream, left: asyncio.Event) -> None:
-        """End a stream; new requests for it wait until it has ended."""
-        name = stream.name
-        self._ending[name] = asyncio.Event()
-        self._close(name, left)
+    async def _end(self, stream: Stream) -> None:
+        """End a stream, whose name and place are free when its process has ended."""
+        self._ending.add(stream.name)
         try:
             await stream.end()
         finally:
-            self._ending.pop(name).set()
+            self._ending.discard(stream.name)
+            self._running.discard(stream)
+            self._release(stream.name)
 
-    def _close(self, name: str, left: asyncio.Event) -> None:
-        if self._open.get(name) is left:  # not the next client's stream
-            del self._open[name]
-            left.set()
-            self.metrics.streams.dec()
+    def _release(self, name: str) -> None:
+        self._open.discard(name)
+        self.metrics.streams.dec()
 
-    async def _left(self, name: str) -> None:
-        """Wait for a leaving client: the next may connect before the disconnection is detected."""
+    async def _left(self, name: str, expected: str) -> None:
+        """Wait for a leaving client, whose disconnection is detected later, and for the end of its stream.
+
+        Raises
+        ------
+        Refused
+            If the stream stays open, or does not end in time.
+        """
+        await _until(lambda: name not in self._open or name in self._ending, _NOTICED)
+        await _until(lambda: name not in self._ending, _SAVED)
+        if name in self._ending:
+            raise Refused(409, f"stream {name} is ending; try again")
         if name in self._open:
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._open[name].wait(), _NOTICED)
-        while name in self._ending:
-            await self._ending[name].wait()
+            raise Refused(409, f"stream {name} has a connection; expected {expected}")
 
     def stop(self) -> None:
-        """End all streams; terminate those that do not end within some seconds."""
+        """End all streams; kill the processes that do not end within some seconds."""
         self.stopping.set()
         self.prepared.set()  # waiting requests are refused
         loop = asyncio.get_running_loop()
         loop.call_later(_DROPPED, self.connections.drop)
-        loop.call_later(_TERMINATED, self._terminate)
+        loop.call_later(_KILLED, self._kill)
 
-    def _terminate(self) -> None:
+    def _kill(self) -> None:
         for stream in self._running:
-            stream.terminate()
+            stream.kill()
 
     async def forget(self, name: str) -> None:
         """Remove the saved state of a stream without a connection."""
-        await self._left(name)
-        if name in self._open:
-            raise Refused(409, f"stream {name} has a connection; expected none")
+        await self._left(name, "none")
         state = self.service.state_of(name)
         try:
             is_removed = state is not None and remove(state)
@@ -165,7 +184,8 @@ class Streams:
             raise Refused(409, f"stream {name} is open in another process; expected none") from error
         except (InputError, OSError) as error:
             found = error.found if isinstance(error, InputError) else error.strerror
-            raise Refused(409, f"the state of stream {name} cannot be removed: {found}") from error
+            status = 503 if isinstance(error, OSError) and error.errno in _LACKING else 409
+            raise Refused(status, f"the state of stream {name} cannot be removed: {found}") from error
         if not is_removed:
             raise Refused(404, f"no saved state of stream {name}")
 
@@ -240,15 +260,13 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
         await asyncio.wait({incoming, outgoing, gone}, return_when=asyncio.FIRST_COMPLETED)
         if gone.done():
             return 1000, ""
-        if not incoming.done():
-            status = await stream.status() if not outgoing.result()[1] else 0
-            if status:
-                return _BROKEN, f"the stream's process ended with status {status}; connect again"
-            return await outgoing
-        if closing := incoming.result():
-            return closing
-        stream.no_more()
-        return await outgoing
+        if incoming.done():
+            if closing := incoming.result():
+                return closing
+            stream.no_more()
+        code, reason = await outgoing
+        failure = "" if reason else await stream.failure()
+        return (_BROKEN, failure) if failure else (code, reason)
     finally:
         await _cancel(incoming, outgoing, gone)
 
@@ -295,6 +313,9 @@ class Exchange(Response):
                 if gone.done() or not outgoing.result():
                     connection.drop()
                 else:
+                    # With status 1 the process has sent the reason itself.
+                    if not reason and await stream.status() not in (0, 1):
+                        reason = await stream.failure()
                     line = json.dumps({"error": reason}) + "\n" if reason else ""
                     async with asyncio.timeout(patience):
                         await send({"type": "http.response.body", "body": line.encode()})

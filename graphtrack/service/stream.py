@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Iterable
@@ -18,6 +19,10 @@ from graphtrack.service.worker import ASIDE, DONE, PIECE, WARM, work
 FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windows
 PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
 _ERROR = b'"error"'
+_LEAST_PATIENCE = 10.0
+"""Seconds for an answer that a process always has: the first one waits until it has started."""
+_FILES = 16
+"""Files that the start of a process opens for a moment, and some to spare."""
 _PAUSE = 0.002
 """Seconds in which answers are collected: reading each separately costs as much as a row."""
 
@@ -29,6 +34,8 @@ class Stream:
     ----------
     name : name of the stream
     people : number of tracked people
+    patience : seconds in which the process has to answer a row, or to end once the rows have ended; it is
+        killed otherwise, as code in an endless loop cannot end by itself
     """
 
     def __init__(
@@ -45,6 +52,10 @@ class Stream:
         self._arrived: deque[tuple[float, int]] = deque()
         self._waiting, self._left = 0, b""
         self._budget, self._counted = self._limits.rows_per_second, time.monotonic()
+        self.patience = max(self._limits.patience, _LEAST_PATIENCE)
+        self._reading: asyncio.Task[bytes] | None = None
+        self._ends_since: float | None = None
+        self._was_too_slow = False
 
     async def take(self, lines: Iterable[bytes]) -> None:
         """Send rows to the process; wait while the process or the rate limit is behind."""
@@ -80,6 +91,23 @@ class Stream:
                 await asyncio.sleep(_PAUSE)
 
     async def _read(self) -> bytes:
+        """Return output of the process, and nothing once it has ended; kill it if none comes in time."""
+        if self._reading is None:
+            self._reading = asyncio.create_task(self._receive())
+        # The process may have waited to be read from; a cancelled wait leaves the task for the next call.
+        begun = time.monotonic()
+        while not self._reading.done():
+            oldest = self._arrived[0][0] if self._arrived else self._ends_since
+            since = begun if oldest is None else max(begun, oldest)
+            left = since + self.patience - time.monotonic()
+            if left <= 0.0 and oldest is not None:
+                self._was_too_slow = True
+                self.kill()
+            await asyncio.wait({self._reading}, timeout=left if left > 0.0 else self.patience)
+        data, self._reading = self._reading.result(), None
+        return data
+
+    async def _receive(self) -> bytes:
         try:
             return await asyncio.get_running_loop().sock_recv(self._connection, PIECE)
         except ConnectionError:  # the process died with unread rows
@@ -87,6 +115,7 @@ class Stream:
 
     def no_more(self) -> None:
         """Signal the end of the rows."""
+        self._ends_since = self._ends_since or time.monotonic()
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
 
@@ -98,6 +127,8 @@ class Stream:
                 pass
         except (OSError, ValueError):
             pass
+        if self._reading is not None:
+            self._reading.cancel()
         self._connection.close()
         status = await self.status()
         self._metrics.waiting.dec(self._waiting)
@@ -107,15 +138,26 @@ class Stream:
             self._metrics.broken.inc()
         return status
 
-    def terminate(self) -> None:
-        """Terminate the process; a saved state stays valid."""
-        self._process.terminate()
+    def kill(self) -> None:
+        """Kill the process, even if it is stopped; a saved state stays valid."""
+        self._process.kill()
 
     async def status(self) -> int:
-        """Return the process's exit status when it has ended."""
-        await asyncio.to_thread(self._process.join)
+        """Return the process's exit status when it has ended; kill it if it does not end in time."""
+        await asyncio.to_thread(self._process.join, self.patience)
+        if self._process.exitcode is None:
+            self._was_too_slow = True
+            self.kill()
+            await asyncio.to_thread(self._process.join)
         assert self._process.exitcode is not None
         return self._process.exitcode
+
+    async def failure(self) -> str:
+        """Return the reason why the process ended too early, for the client; empty if it did not fail."""
+        status = await self.status()
+        if self._was_too_slow:
+            return f"the stream's process did not answer for {self.patience:g} s; connect again"
+        return f"the stream's process ended with status {status}; connect again" if status else ""
 
     def _count(self, rows: int, people: int) -> None:
         """Count answered rows, the oldest first."""
@@ -153,7 +195,6 @@ def prepare(service: Service) -> None:
     """Start the processes' parent with all code loaded; compile missing code."""
     answers = service.answers
     walls = answers.walkable is not None
-    walls = answers.walkable is not None
     given = {"model": answers.model.to_dict(), "walls": walls, "engine": answers.engine}
     os.environ[WARM] = json.dumps(given)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are the parallel units
@@ -164,13 +205,45 @@ def prepare(service: Service) -> None:
     first.join()
 
 
+def _check_files() -> None:
+    """Raise OSError if a process cannot be started for want of open files.
+
+    A start that fails halfway ends the parent of all processes.
+    """
+    held: list[int] = []
+    try:
+        for _ in range(_FILES):
+            held.append(os.open(os.devnull, os.O_RDONLY))
+    finally:
+        for file in held:
+            os.close(file)
+
+
+def _start(process: multiprocessing.process.BaseProcess) -> None:
+    with _STARTING:
+        _check_files()
+        process.start()
+
+
+_STARTING = threading.Lock()
+
+
 async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
-    """Start a stream, or resume it from a saved state."""
+    """Start a stream, or resume it from a saved state.
+
+    Raises
+    ------
+    OSError
+        If no process can be started, for want of open files or memory.
+    """
     here, there = socket.socketpair()
     arguments = (there, service.answers, service.state_of(name), service.save_every)
     process = PROCESSES.Process(target=work, args=arguments, name=f"stream {name}", daemon=True)
     try:
-        await asyncio.to_thread(process.start)
+        await asyncio.to_thread(_start, process)
+    except BaseException:
+        here.close()
+        raise
     finally:
         there.close()
     here.setblocking(False)

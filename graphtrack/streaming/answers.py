@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -17,15 +18,16 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.online import OnlineSmoother
-from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
+from graphtrack.inference.state import Estimate, checked, pack_observation, unpack_observation
 from graphtrack.interaction.attention import OnlineAttention
-from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
+from graphtrack.interaction.coupled import CONVERSATIONS
 from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import Saved
 from graphtrack.smoothing import OnlineTracker
+from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -196,16 +198,22 @@ class EndedFrames(Saved):
 
 @dataclass(frozen=True)
 class StreamBounds:
-    """Bounds of a stream with identities.
+    """Bounds of what a stream keeps.
 
     Attributes
     ----------
-    people : most people at a time; a row of one more is an error
-    forget_after : seconds without a row after which a person is dropped, and new when they return
+    people : most people with identities at a time; a row of one more is an error
+    forget_after : seconds of the stream without a row after which a person, or one of several streams, is
+        forgotten. After 60 s the acceleration density leaves 100 m and 3 m/s of uncertainty: an estimate that
+        goes on differs from a new one by a hundredth of its 1-σ after ten rows
+    streams : most streams of detections at a time; a row of one more is an error
+    jump : seconds from a stream's newest time from which the time of a row is implausible; see `StreamClock`
     """
 
-    people: int | None = None
-    forget_after: float | None = None
+    people: int = 10_000
+    forget_after: float = 60.0
+    streams: int = 256
+    jump: float = PLAUSIBLE
 
 
 @dataclass
@@ -224,14 +232,15 @@ class TrackAnswers(Answering):
     ----------
     make : a new smoother
     fps, note : as in `Answering`
-    frames : groups, attention and forecasts of each frame; None: not requested
-    bounds : limits of the number of people
-    conversations : the exchange of smoothers of a model with groups
+    bounds : limits of what is kept
+    of_scene : makes the other members: `EndedFrames` if groups, attention or forecasts are requested, and
+        `Conversations` of a model with groups
     unused : as in `UnknownKeys`
 
     Attributes
     ----------
-    members : track id → smoother, the frames and the conversations
+    members : track id → smoother; the frames and the conversations
+    clock : the clock of all rows
     """
 
     def __init__(
@@ -239,16 +248,23 @@ class TrackAnswers(Answering):
         make: Callable[[], OnlineSmoother],
         fps: float | None,
         note: Callable[[str], None] = print,
-        frames: EndedFrames | None = None,
         bounds: StreamBounds = StreamBounds(),
-        conversations: Conversations | None = None,
+        of_scene: Callable[[], dict[str, Saved]] = dict,
         unused: Collection[str] = (),
     ) -> None:
         super().__init__(fps, note, unused=unused)
-        self._make, self._bounds, self._looked = make, bounds, -math.inf
+        self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._waiting = dict[int, _Waiting]()
-        of_scene = {FRAMES: frames, CONVERSATIONS: conversations}
-        self.members = {key: one for key, one in of_scene.items() if one is not None}
+        self.clock = StreamClock(bounds.jump)
+        self.members = of_scene()
+
+    def shared_state(self) -> dict[str, Any]:
+        """Return the state of the clock."""
+        return self.clock.state()
+
+    def restore_shared(self, state: Mapping[str, Any]) -> None:
+        """Take over a `shared_state`."""
+        self.clock.restore(state)
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
         """Return the answers to each of some lines, the same as one by one.
@@ -267,18 +283,63 @@ class TrackAnswers(Answering):
                     pairs = self.pairs_of(line)
                     cells = read_cells(pairs)
                 self._unknown_keys.check_used(cells)
-                self._wait_for(cells["track_id"], observation_of(cells, self.fps), found[-1])
+                self._take(cells["track_id"], observation_of(cells, self.fps), found[-1])
             except InputError as error:
                 found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
         self._take_waiting()
         return found
 
+    def _take(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
+        """Process a row whose time is plausible or confirmed; else let it wait."""
+        smoother: OnlineSmoother = self.members.get(track_id) or self._make()
+        observation = smoother.usable(observation)
+        verdict = self.clock.verdict(observation.t)
+        if verdict != "plausible":
+            self._take_waiting()
+        if verdict == "unconfirmed":
+            self.note_unconfirmed(observation.t, self.clock)
+            self.clock.wait(track_id, observation, self._bounds.people)
+            answers.append(estimate_row(track_id, smoother.unchanged(observation, "unconfirmed")))
+            return
+        if verdict == "confirmed":
+            answers += self._confirm()
+        self._wait_for(track_id, observation, answers)
+
+    def _confirm(self) -> list[dict[str, Any]]:
+        """Process the rows whose time is confirmed; return the answers of frames that end thereby.
+
+        An earlier time is a new beginning: people and frames of the time before are dropped.
+        """
+        note, is_earlier, rows = self.clock.confirm()
+        self._note(note)
+        answers: list[dict[str, Any]] = []
+        if is_earlier:
+            answers += self.finish()
+            for key in self.members:
+                self.before_change(key)
+            self.clock.last_row.clear()
+            self.members = self._of_scene()
+        for track_id, observation in rows:
+            assert track_id is not None
+            own: list[dict[str, Any]] = []
+            with suppress(InputError):  # one person more than the bound
+                self._wait_for(track_id, observation, own)
+            self._take_waiting()
+            answers += [row for row in own if "status" not in row]  # the row itself was answered
+        return answers
+
     def _wait_for(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
         """Queue a row for joint processing; process it at once for new people, or if people interact."""
-        if track_id in self._waiting or track_id not in self.members or observation.t >= self._looked + 1.0:
+        self.clock.advance(observation.t)
+        if gone := self.clock.forget(self._bounds.forget_after):
             self._take_waiting()
-        smoother = self._smoother(track_id, observation.t)
-        observation = smoother.usable(observation)
+            for one in gone:
+                self.before_change(one)
+                del self.members[one]
+        if track_id in self._waiting or track_id not in self.members:
+            self._take_waiting()
+        smoother = self._smoother(track_id)
+        self.clock.mark(track_id)
         if CONVERSATIONS in self.members:
             self.before_change(CONVERSATIONS)
             observation = self.members[CONVERSATIONS].observed(track_id, observation)
@@ -313,42 +374,19 @@ class TrackAnswers(Answering):
         frames: EndedFrames = self.members[FRAMES]
         return frames.take(track_id, observation, estimate)
 
-    def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
-        """Return a person's smoother, newly made for a new or dropped person.
-
-        The time at which people are dropped changes no answer, so a resumed stream gives the same answers.
-        """
-        if now >= self._looked + 1.0:
-            self._looked = now
-            self._forget(now)
+    def _smoother(self, track_id: int) -> OnlineSmoother:
+        """Return a person's smoother, newly made for a new or forgotten person."""
         found: OnlineSmoother | None = self.members.get(track_id)
-        if found is not None and not self._is_forgotten(found, now):
+        if found is not None:
             return found
-        most = self._bounds.people
-        if found is None and most is not None and self.count >= most:
-            self._forget(now)
-            if self.count >= most:
-                raise InputError(f"one more than {most} people", "rows of known people")
+        if self.count >= self._bounds.people:
+            raise InputError(f"one more than {self._bounds.people} people", "rows of known people")
         return self._make()
 
     @property
     def count(self) -> int:
         """Number of people with a state."""
         return len(self.members) - sum(key in self.members for key in (FRAMES, CONVERSATIONS))
-
-    def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
-        after, last = self._bounds.forget_after, smoother.last
-        # A person without a position so far has no estimate, and no state is kept.
-        return after is not None and (last is None or last.t < now - after - TIME_TOLERANCE)
-
-    def _forget(self, now: float) -> None:
-        """Drop people without a row for `Bounds.forget_after`."""
-        members = self.members.items()
-        people = [(one, smoother) for one, smoother in members if isinstance(smoother, OnlineSmoother)]
-        for one, smoother in people:
-            if self._is_forgotten(smoother, now):
-                self.before_change(one)
-                del self.members[one]
 
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input: those of the last frame."""
@@ -364,18 +402,41 @@ ONE = ""
 
 Name = str | int
 
+MOST_DETECTIONS = 10_000
+"""Largest number of detections in a frame."""
+
 
 class Frame(Saved):
-    """A stream: its tracker, its groups and attention, and the current frame."""
+    """A stream: its tracker, its groups and attention, its clock, and the current frame.
 
-    _saved: ClassVar = {"tracker": Saved, "behaviour": Saved, "t": float | None, "number": int | None}
+    Attributes
+    ----------
+    t, number, observations : of the current frame; None and empty between frames
+    elapsed : seconds of all streams together at the last row, see `Scenes`
+    offset : ``elapsed`` minus the time of a row
+    numbered : greatest track id in the streams that were forgotten by then
+    """
 
-    def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
-        self.tracker, self.behaviour = tracker, behaviour
+    _saved: ClassVar = {
+        "tracker": Saved,
+        "behaviour": Saved,
+        "clock": Saved,
+        "t": float | None,
+        "number": int | None,
+        "elapsed": float,
+        "offset": float,
+        "numbered": int,
+    }
+
+    def __init__(
+        self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None, jump: float = PLAUSIBLE
+    ) -> None:
+        self.tracker, self.behaviour, self.clock = tracker, behaviour, StreamClock(jump)
         tracker.unused = ()  # the stream itself notes keys that are not used
         self.t: float | None = None
         self.number: int | None = None
         self.observations: list[Observation] = []
+        self.elapsed, self.offset, self.numbered = 0.0, 0.0, 0
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""
@@ -393,6 +454,9 @@ class Scenes(Answering):
     A frame ends with the next time, or with ``{"end": t}``; then its people are reported, each in a row, and
     a row ``{"end": t, …}`` reports their number and the revisions of earlier frames.
 
+    Streams may have clocks of their own. Seconds that elapse are therefore those of whichever stream is
+    ahead, each counted from what had elapsed at the stream's first row.
+
     Parameters
     ----------
     make : a new tracker
@@ -400,11 +464,12 @@ class Scenes(Answering):
     forget : ignore identities of rows; else such a row is an error
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
+    bounds : limits of what is kept
     unused : as in `UnknownKeys`
 
     Attributes
     ----------
-    members : name → stream
+    members : name → stream, the longest silent first
     """
 
     def __init__(
@@ -416,10 +481,12 @@ class Scenes(Answering):
         forget: bool = False,
         horizon: tuple[float, float] | None = None,
         asked: Asked | None = None,
+        bounds: StreamBounds = StreamBounds(),
         unused: Collection[str] = (),
     ) -> None:
         super().__init__(fps, note, ("stream", "end"), unused)
         self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
+        self._bounds = bounds
 
     @property
     def count(self) -> int:
@@ -438,8 +505,8 @@ class Scenes(Answering):
             given = dict(pairs)
             name = _name(given.get("stream"))
             if "end" in given:
-                return self._end(name, _seconds(given["end"]))
-            return self._take(name, pairs)
+                return self._take(name, checked(Observation(_seconds(given["end"]))), None, is_end=True)
+            return self._take(name, *self._detection(pairs))
         except InputError as error:
             return [error_row(pairs, number, error)]
 
@@ -451,7 +518,8 @@ class Scenes(Answering):
             rows += self._flush(name)
         return rows
 
-    def _take(self, name: Name, pairs: Pairs) -> list[dict[str, Any]]:
+    def _detection(self, pairs: Pairs) -> tuple[Observation, int | None]:
+        """Return a row as an observation, and its frame number."""
         cells = read_cells(pairs, ("track_id", "frame"))
         self._unknown_keys.check_used(cells)
         if cells.get("track_id", -1) != -1 and not self._forget:
@@ -460,51 +528,113 @@ class Scenes(Answering):
         number = cells.get("frame")
         if "t" not in cells and number is None:
             raise InputError("neither t nor frame", "the time of the observation", column="t")
-        one = observation_of({**cells, "frame": number or 0}, self.fps)
-        frame = self.members.get(name)
-        if frame is not None and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
-            raise InputError(f"t = {one.t:.15g}", f"a time from {frame.t:.15g} on", column="t")
-        tracker = self._make() if frame is None else frame.tracker
-        one = tracker.on_the_ground(one, one.t)
-        tracker.check_time(one.t)
-        size = tracker.descriptor_size
-        descriptors_of([one] if size or frame is None else [*frame.observations, one], size)
-        if frame is None:
-            frame = self._begin(tracker)
-        self.before_change(name)
-        self.members[name] = frame
-        found_rows = self._flush_before(name, one.t)
-        frame.t, frame.number = one.t if frame.t is None else frame.t, number
-        frame.observations.append(one)
-        return found_rows
+        return observation_of({**cells, "frame": number or 0}, self.fps), number
 
-    def _end(self, name: Name, t: float) -> list[dict[str, Any]]:
-        frame = self.members.get(name)
-        if frame is None:
-            frame = self._begin(self._make())
-        if frame.t is not None and t < frame.t - TIME_TOLERANCE:
-            raise InputError(f"end = {t:.15g}", f"a time from {frame.t:.15g} on", column="end")
-        frame.tracker.check_time(t)
+    def _take(
+        self, name: Name, one: Observation, number: int | None, *, is_end: bool = False
+    ) -> list[dict[str, Any]]:
+        """Process a detection, or the end of a frame, if its time is plausible or confirmed."""
+        frame = self._known(name)
+        verdict = frame.clock.verdict(one.t)
+        if verdict == "plausible" and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
+            column = "end" if is_end else "t"
+            raise InputError(f"{column} = {one.t:.15g}", f"a time from {frame.t:.15g} on", column=column)
+        if not is_end:
+            one = frame.tracker.on_the_ground(one, one.t)
+            size = frame.tracker.descriptor_size
+            descriptors_of([one] if size else [*frame.observations, one], size)
+            if len(frame.observations) >= MOST_DETECTIONS and not self._is_after(frame, one.t):
+                raise InputError(f"one more than {MOST_DETECTIONS} detections", "a later time", column="t")
+        if verdict == "plausible":
+            frame.tracker.check_time(one.t)
         self.before_change(name)
+        self._see(name, frame, None if verdict == "unconfirmed" else one.t)
+        if verdict == "unconfirmed":
+            self.note_unconfirmed(one.t, frame.clock)
+            frame.clock.wait(number, one, MOST_DETECTIONS)
+            counts = {"detections": len(_detections(frame.clock.waiting)), "status": "unconfirmed"}
+            return [_of_stream(name) | {"end": one.t} | counts]
+        rows = self._confirm(name, frame) if verdict == "confirmed" else []
+        frame.clock.advance(one.t)
+        if self._is_after(frame, one.t):
+            rows += self._flush(name)
+        frame.t = one.t if frame.t is None else frame.t
+        if is_end:
+            return rows + self._flush(name) + self._forget_streams(frame)
+        frame.number = number
+        frame.observations.append(one)
+        return rows + self._forget_streams(frame)
+
+    def _known(self, name: Name) -> Frame:
+        """Return a stream, which is new if it is none of the members."""
+        frame: Frame | None = self.members.get(name)
+        if frame is not None:
+            return frame
+        if len(self.members) >= self._bounds.streams:
+            hint = (
+                f"rows of known streams; one without a row for {self._bounds.forget_after:g} s is forgotten"
+            )
+            raise InputError(f"one more than {self._bounds.streams} streams", hint, column="stream")
+        return self._begin(1 + self._newest.numbered if self.members else 1)
+
+    def _begin(self, first: int) -> Frame:
+        """Return a new stream with track ids from ``first`` on."""
+        tracker = self._make()
+        tracker.number_from(first)
+        return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked), self._bounds.jump)
+
+    @property
+    def _newest(self) -> Frame:
+        """The stream of the last row."""
+        newest: Frame = next(reversed(self.members.values()))
+        return newest
+
+    def _see(self, name: Name, frame: Frame, t: float | None) -> None:
+        """Move a stream with a row to the end of the members; the row's time, if it counts, elapses."""
+        elapsed, numbered = (self._newest.elapsed, self._newest.numbered) if self.members else (0.0, 0)
+        is_new = self.members.pop(name, None) is None
         self.members[name] = frame
-        rows = self._flush_before(name, t)
-        frame.t = t if frame.t is None else frame.t
+        if t is not None:
+            if is_new or frame.clock.verdict(t) != "plausible":
+                frame.offset = elapsed - t
+            elapsed = max(elapsed, t + frame.offset)
+        frame.elapsed, frame.numbered = elapsed, numbered
+
+    def _confirm(self, name: Name, frame: Frame) -> list[dict[str, Any]]:
+        """End the current frame and the frame whose time is confirmed; an earlier time is a new beginning."""
+        rows = self._flush(name)
+        note, is_earlier, waiting = frame.clock.confirm()
+        self._note(note if name == ONE else f"stream {name}: {note}")
+        if is_earlier:
+            again = self._begin(frame.tracker.next_number)
+            frame.tracker, frame.behaviour = again.tracker, again.behaviour
+        (frame.number, last), frame.observations = waiting[-1], _detections(waiting)
+        frame.t = last.t
         return rows + self._flush(name)
 
-    def _begin(self, tracker: OnlineTracker) -> Frame:
-        return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked))
+    def _forget_streams(self, newest: Frame) -> list[dict[str, Any]]:
+        """Drop the streams without a row for long; return the answers to their last frames."""
+        rows: list[dict[str, Any]] = []
+        longest = self._bounds.forget_after + TIME_TOLERANCE
+        while newest.elapsed - next(iter(self.members.values())).elapsed > longest:
+            name, frame = next(iter(self.members.items()))
+            self.before_change(name)
+            rows += self._flush(name)
+            newest.numbered = max(newest.numbered, frame.tracker.next_number - 1)
+            del self.members[name]
+        return rows
 
-    def _flush_before(self, name: Name, t: float) -> list[dict[str, Any]]:
-        """Pass the frame to the tracker if a time (seconds) is after it."""
-        last = self.members[name].t
-        return self._flush(name) if last is not None and t > last + TIME_TOLERANCE else []
+    @staticmethod
+    def _is_after(frame: Frame, t: float) -> bool:
+        """Return True if a time (seconds) is after the current frame."""
+        return frame.t is not None and t > frame.t + TIME_TOLERANCE
 
     def _flush(self, name: Name) -> list[dict[str, Any]]:
         """Pass the ended frame to the tracker, and return its people."""
         frame = self.members[name]
         if frame.t is None:
             return []
-        of_stream = {} if name == ONE else {"stream": name}
+        of_stream = _of_stream(name)
         people = frame.tracker.update(frame.t, frame.observations)
         ahead = {} if self._horizon is None else by_person(frame.tracker.forecast(*self._horizon))
         more = (
@@ -525,6 +655,15 @@ class Scenes(Answering):
         rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))
         frame.t, frame.number, frame.observations = None, None, []
         return rows
+
+
+def _of_stream(name: Name) -> dict[str, Any]:
+    return {} if name == ONE else {"stream": name}
+
+
+def _detections(waiting: Sequence[tuple[int | None, Observation]]) -> list[Observation]:
+    """Return the detections among rows that wait; the others are ends of frames."""
+    return [one for _, one in waiting if one.position is not None]
 
 
 def _name(value: Any) -> Name:

@@ -18,6 +18,7 @@ from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
+from graphtrack.streaming.clock import StreamClock
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
@@ -73,7 +74,7 @@ class Answering:
     Parameters
     ----------
     fps : frames a second, for rows without a time
-    note : called once with each unknown key
+    note : called with a sentence on each unknown key, and on times that jump
     known, unused : as in `UnknownKeys`
 
     Attributes
@@ -90,7 +91,8 @@ class Answering:
         known: Collection[str] = (),
         unused: Collection[str] = (),
     ) -> None:
-        self.fps, self._unknown_keys = fps, UnknownKeys(note, known, unused)
+        self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known, unused)
+        self._has_noted_jump = False
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda key: None
@@ -107,6 +109,22 @@ class Answering:
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input."""
         raise NotImplementedError
+
+    def shared_state(self) -> dict[str, Any]:
+        """Return the part of the state that belongs to no member, as JSON-able data."""
+        return {}
+
+    def restore_shared(self, state: Mapping[str, Any]) -> None:
+        """Take over a `shared_state`."""
+
+    def note_unconfirmed(self, t: float, clock: StreamClock) -> None:
+        """Note the first row whose time (seconds) is implausible."""
+        if not self._has_noted_jump:
+            self._has_noted_jump = True
+            self._note(
+                f"a row with t = {t:.15g} s, more than {clock.limit:g} s from {clock.now:.15g} s, is "
+                "unconfirmed until the next row agrees; --forget-after allows longer steps"
+            )
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """Return the answers to a line of input."""

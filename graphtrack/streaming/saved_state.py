@@ -454,6 +454,7 @@ class Saving:
         with self._naming_the_file():
             header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
+            people.restore_shared(header["shared"])
             first_row = 1 + header["people"]
             for entry in entries[1:first_row]:
                 track_id, state = _member_of(entry)
@@ -525,6 +526,7 @@ class Saving:
                 "rows": people.rows,
                 "line": people.line,
                 "people": len(self._members),
+                "shared": people.shared_state(),
             }
         )
         self._file.mark()

@@ -9,7 +9,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -70,7 +70,7 @@ class Answers:
         if the first row has none
     horizon : (seconds, step) of forecasts to report; None: no forecasts
     asked : groups and attention to report; None: neither
-    bounds : of people with identities
+    bounds : limits of what is kept
     walkable : as in `OnlineSmoother`
     """
 
@@ -105,11 +105,21 @@ class Answers:
             partial(OnlineSmoother, self.model, **self._options),
             self.fps,
             note,
-            self._frames(),
-            self.bounds,
-            Conversations(self.model) if self.model.has_groups else None,
+            self._bounds,
+            self._of_scene,
             unused_columns(self.model, self.camera),
         )
+
+    @property
+    def _bounds(self) -> StreamBounds:
+        """The bounds; the time of a row that could still be used, or whose person is kept, is plausible."""
+        longest = max(self.bounds.jump, self.bounds.forget_after, self.lag or 0.0)
+        return replace(self.bounds, jump=longest)
+
+    def _of_scene(self) -> dict[str, Any]:
+        """Return new frames and conversations, where they are requested or the model has groups."""
+        found: dict[str, Any] = {} if (frames := self._frames()) is None else {FRAMES: frames}
+        return found | ({CONVERSATIONS: Conversations(self.model)} if self.model.has_groups else {})
 
     def _frames(self) -> EndedFrames | None:
         """Return groups, attention and forecasts of frames; None: none."""
@@ -143,16 +153,19 @@ class Answers:
             forget=forget,
             horizon=self.horizon,
             asked=self.asked,
+            bounds=self._bounds,
             unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
         )
 
     def restored_scene(self, key: Any, saved: Any) -> Frame:
         """Restore a member of `scenes` from its state."""
-        return Frame.from_state(saved, OnlineTracker(self.model, **self._options), self._behaviour())
+        tracker = OnlineTracker(self.model, **self._options)
+        return Frame.from_state(saved, tracker, self._behaviour(), self._bounds.jump)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that the answers depend on, as JSON-able data."""
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
+        found["forget_after"] = self.bounds.forget_after
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
         found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         return found | ({} if self.asked is None else self.asked.settings())

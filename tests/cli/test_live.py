@@ -214,6 +214,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--model": "full"}, 'model.preset = "joint", expected one with model.preset = "full"'),
         ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
         ({"--forecast": "2"}, "forecast"),
+        ({"--forget-after": "30"}, "forget_after = 60.0, expected one with forget_after = 30.0"),
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
     ],
 )

@@ -210,7 +210,7 @@ def test_it_is_flushed_from_time_to_time(tmp_path, monkeypatch):
 def writings(path, seconds):
     """Times at which an empty stream is written, every ten seconds, after its start at 0."""
     now, found = 0.0, []
-    nobody = SimpleNamespace(rows=0, line=0, members={}, before_change=None)
+    nobody = SimpleNamespace(rows=0, line=0, members={}, before_change=None, shared_state=dict)
     file = StateFile(path, 3600.0)
     saving = Saving(file, nobody, {}, 10.0, lambda: now)
     saving.begin()

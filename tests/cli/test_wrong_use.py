@@ -1,6 +1,9 @@
 """Wrong arguments end with one line and status 2; nothing is written."""
 
+import inspect
 from functools import partial
+from importlib import import_module
+from typing import get_args
 
 import command
 import pytest
@@ -134,3 +137,33 @@ def test_tables_for_a_pipe_are_not_cut(here):
     (here / "named.csv").write_text(f"track_id,frame,t,x,y,label\n{rows}")
     done = run("info", "named.csv")
     assert done.returncode == 0 and label in done.stdout
+
+
+def numeric_options():
+    """Return the program, command and name of every option that takes a number with a fraction."""
+    for program in ("graphtrack", "perception"):
+        app = import_module(f"{program}.cli.commands").app
+        for one in app.registered_commands:
+            for parameter in inspect.signature(one.callback).parameters.values():
+                kind, info, *_ = get_args(parameter.annotation)
+                if kind is float or float in get_args(kind):
+                    yield program, one.name, (*info.param_decls, info.default)[0]
+
+
+@pytest.mark.parametrize("value", ["1e999", "nan"])
+def test_no_number_is_infinite_or_nan(value):
+    given = list(numeric_options())
+    assert len(given) > 30 and ("graphtrack", "serve", "--patience") in given
+    for program, name, option in given:
+        done = command.run(name, f"{option}={value}", program=program)
+        assert done.returncode == 2 and done.stderr.count("\n") == 1, (name, option, done.stderr)
+        assert f"Invalid value for '{option}'" in done.stderr, (name, option, done.stderr)
+    # A number among words, or where the name of a file may be.
+    for line in (f"track - --lag {value}", f"view tracks.csv --forecast {value}"):
+        assert ran_badly(line)
+
+
+def ran_badly(line):
+    """Return whether a command ends with one line and status 2."""
+    done = run(*line.split(), rows=[])
+    return done.returncode == 2 and done.stderr.count("\n") == 1 and done.stderr.startswith("error: ")

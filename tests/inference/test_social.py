@@ -25,6 +25,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.simulation.scenario import Party, party
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import TrackAnswers
+from graphtrack.streaming.session import Answers
 from graphtrack.tracks.track import Track, TrackSet
 
 SOCIAL = Model("social")
@@ -91,7 +92,9 @@ def rows(seen: TrackSet, order: np.random.Generator | None = None) -> Iterator[d
 
 
 def stream() -> TrackAnswers:
-    return TrackAnswers(lambda: OnlineSmoother(SOCIAL), None, conversations=Conversations(SOCIAL))
+    return TrackAnswers(
+        lambda: OnlineSmoother(SOCIAL), None, of_scene=lambda: {CONVERSATIONS: Conversations(SOCIAL)}
+    )
 
 
 def answers(people: TrackAnswers, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -112,8 +115,9 @@ def test_a_stream_says_what_a_file_does_and_goes_on_without_a_trace() -> None:
     kept = json.loads(json.dumps([(key, one.state()) for key, one in part.members.items()], allow_nan=False))
     part = stream()
     for key, state in kept:
-        restored = Conversations if key == CONVERSATIONS else OnlineSmoother
-        part.members[key] = restored.from_state(state, SOCIAL)
+        part.members[key] = Answers(Model(SOCIAL) if isinstance(SOCIAL, str) else SOCIAL).restored_person(
+            key, state
+        )
     assert first + answers(part, given[42:]) == found
 
 

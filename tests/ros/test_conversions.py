@@ -106,3 +106,21 @@ def test_old_transforms_are_forgotten_and_the_new_stay():
     pose = transforms.placement("base", "map", stamps)
     np.testing.assert_allclose(pose.translation[:2, 0], [26.0, 29.0], atol=1e-6)
     assert pose.known.tolist() == [True, True, False]
+
+
+def test_frames_of_people_who_left_are_forgotten_and_static_frames_stay_once():
+    transforms, sizes = Transforms(), []
+    for k in range(600):
+        base = transform(0.1 * k, "map", "base", 0.0, 0.0, turned(0.0))
+        of_person = [
+            transform(0.1 * k, "base", f"body_{k // 5}", 1.0, 0.0, turned(0.0)),
+            transform(0.1 * k, f"body_{k // 5}", f"face_{k // 5}", 0.0, 0.0, turned(0.0)),
+        ]
+        transforms.add([base, *of_person], static=False)
+        transforms.add([transform(0.1 * k, "base", "camera", 0.1 * k, 0.0, turned(0.0))], static=True)
+        transforms.forget(START + round((0.1 * k - 5.0) * 1e9))
+        sizes.append(len(transforms))
+    assert max(sizes) <= 2 + 2 * 13 and "body_119" in transforms and "body_1" not in transforms
+    assert len(transforms._links["camera"].stamps) == 1
+    pose = transforms.placement("camera", "map", np.array([START + round(59.9e9)]))
+    np.testing.assert_allclose(pose.translation[0, 0], 59.9, atol=1e-9)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from command import run
-from serving import OPTIONS, answers, everything, rows, serving, wait_until
+from serving import OPTIONS, answers, everything, processes_of, rows, serving, wait_until
 from websockets.exceptions import ConnectionClosed
 
 
@@ -172,16 +172,6 @@ def test_a_process_that_dies_is_told_and_comes_back(service):
         kept = found[: there["rows"] - there["given_again"]]
         connection.send("")
         assert [*kept, *everything(connection)[0]] == found
-
-
-def processes_of(service):
-    """Return the ids of the streams' processes: the children of the fork server."""
-    parents = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # it has ended in between
-            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
-    children = {one for one, parent in parents.items() if parent == service.process.pid}
-    return [one for one, parent in parents.items() if parent in children]
 
 
 def test_counts(service):

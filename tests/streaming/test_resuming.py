@@ -100,7 +100,7 @@ EVERY_TIME = [*CASES, "plain, fixed-lag", "known scene, isam2", "everything, fix
 
 
 def rows(case: Case, *, identified: bool) -> list[dict[str, Any]]:
-    """Three people who walk, one of whom leaves and returns; enough rows to learn the scene several times."""
+    """Three people who walk, one of whom leaves and returns; enough rows to learn the scene again."""
     rng, found = np.random.default_rng(5), []
     last = FRAMES if case.engine == "chain" and "=" not in case.model and case.model != "social" else 40
     for k in range(last):
@@ -117,6 +117,8 @@ def rows(case: Case, *, identified: bool) -> list[dict[str, Any]]:
             if case.model != "position":
                 row |= {"body_deg": round(rng.normal(0.0, 20.0), 2), "head_deg": round(rng.normal(), 2)}
             found.append(row)
+            if identified and i == 0 and k % 3 == 0:  # a second sensor at the same time
+                found.append({**row, "pos_std": 0.2})
     return found
 
 
@@ -199,7 +201,8 @@ def observations(given: list[dict[str, Any]]) -> list[gt.Observation]:
     for row in given:
         place = {"pixel": (row["u"], row["v"])} if "u" in row else {"position": (row["x"], row["y"])}
         angles = {name: np.radians(row[f"{name}_deg"]) for name in ("body", "head") if f"{name}_deg" in row}
-        found.append(gt.Observation(row["t"], row["frame"], **place, **angles))
+        std = row.get("pos_std")
+        found.append(gt.Observation(row["t"], row["frame"], position_std=std, **place, **angles))
     return found
 
 

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -86,3 +87,13 @@ def wait_until(holds):
             return
         time.sleep(0.1)
     raise AssertionError("it never held")
+
+
+def processes_of(service):
+    """Return the ids of the streams' processes: the children of the fork server."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended in between
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    children = {one for one, parent in parents.items() if parent == service.process.pid}
+    return [one for one, parent in parents.items() if parent in children]

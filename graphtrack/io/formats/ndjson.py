@@ -284,7 +284,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
 
     Lines with the key ``end``, which end a frame of a stream, and lines of groups, attention and forecasts
     are not rows. Of several answers to one frame, as from rows out of sequence, the last is kept; rows with
-    an ``error`` and their ``line`` are left out. The summary counts both.
+    an ``error`` and their ``line``, or an unconfirmed time, are left out. The summary counts both.
     """
     rows: list[_Row] = []
     keys: dict[str, None] = {}
@@ -298,7 +298,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
             raise error.at(source.path, number) from error
         if "end" in given or _is_of_a_frame(given):
             continue
-        if "error" in given and "line" in given:
+        if ("error" in given and "line" in given) or given.get("status") == "unconfirmed":
             errors += 1
             continue
         rows.append(_Row(number, given))

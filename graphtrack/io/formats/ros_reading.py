@@ -123,13 +123,26 @@ class Transforms:
             pose = (turn.x, turn.y, turn.z, turn.w, place.x, place.y, place.z)
             if not np.isfinite(pose).all() or not any(pose[:4]):
                 continue
+            stamp = stamp_of(one.header)
+            if link.static and link.stamps:  # only the latest pose counts
+                if stamp < link.stamps[-1]:
+                    continue
+                del link.stamps[:], link.poses[:]
             link.sorted = None
-            link.stamps.append(stamp_of(one.header))
+            link.stamps.append(stamp)
             link.poses.extend(pose)
 
     def forget(self, before: int) -> None:
-        """Drop transforms before a time (ns) from frames with many of them, except static frames."""
-        for link in self._links.values():
+        """Drop transforms before a time (ns) from frames with many of them, except static frames.
+
+        Frames without later transforms, such as those of people who left, are dropped, from the leaves on.
+        """
+        parents = {link.parent for link in self._links.values()}
+        for frame, link in list(self._links.items()):
+            is_old = not link.stamps or link.stamps[-1] < before
+            if is_old and not link.static and frame not in parents:
+                del self._links[frame]
+                continue
             half = len(link.stamps) // 2
             if not link.static and half >= _FEW and link.stamps[half] < before:
                 del link.stamps[:half], link.poses[: 7 * half]
