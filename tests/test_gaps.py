@@ -1,14 +1,17 @@
 """Missing rows become frames without observations; estimates at other times are the model's own."""
 
+import warnings
+
 import numpy as np
 import pytest
 from command import ran
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.tracks.gaps import at_times, filled, unfilled_gaps, with_times_at
+from graphtrack.tracks.gaps import at_times, filled, unfilled_gaps, usual_rate, with_times_at
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 
 def walk(n=60, seed=0, track_id=1, dt=0.1):
@@ -16,6 +19,18 @@ def walk(n=60, seed=0, track_id=1, dt=0.1):
     t = dt * np.arange(n)
     position = np.column_stack([1.2 * t, np.sin(t)]) + rng.normal(0.0, 0.1, (n, 2))
     return gt.Track(track_id, frame=np.arange(n), t=t, position=position)
+
+
+@given(st.floats(0.0, TIME_TOLERANCE), st.integers(1, 10))
+@example(1e-320, 1)
+def test_rows_at_one_time_tell_no_rate(apart, step):
+    frame = step * np.arange(40)
+    t = np.repeat(np.arange(20) / 10, 2)
+    t[1::2] += apart
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert usual_rate([(frame, t)]) == pytest.approx(10.0 * step, rel=1e-3)
+        assert usual_rate([(frame[:2], t[:2])]) == 0.0
 
 
 @given(st.sets(st.integers(1, 58), max_size=20))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -41,12 +42,15 @@ def info(
 
         scene = Model.named(model).scene
     tracks = reading.tracks(inputs, scene=scene)
-    rows = [describe(track) for track in tracks]
+    most = len(tracks) if json_path is not None else _MOST_SHOWN
+    rows = [describe(track) for track in islice(tracks, most)]
     optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
     units = {"rate_hz": "Hz", "speed_m_s": "m/s"}
     headings = {name: units.get(name, name) for name in rows[0] if name not in optional} if rows else {}
-    shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows]
+    shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows[:_MOST_SHOWN]]
     print_table(f"{counted(len(tracks), 'track')}, {tracks.n_frames} person-frames", shown)
+    if len(tracks) > _MOST_SHOWN:
+        emit(f"  note: only the first {_MOST_SHOWN:,} tracks are shown; --json writes all")
     write_json(json_path, rows)
 
 
@@ -68,6 +72,9 @@ def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path 
 def _shown(value: Any) -> Any:
     return ("yes" if value else "no") if isinstance(value, bool) else value
 
+
+_MOST_SHOWN = 1_000
+"""Most tracks in the table; rows of a million take minutes."""
 
 _WINDOW = 0.5
 """Half width in seconds of the window in which a line is fitted to the positions."""

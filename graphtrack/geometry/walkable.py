@@ -29,6 +29,7 @@ WALLS = 2
 
 _PARALLEL = 0.95  # Cosine between normals above which a second wall is redundant
 _ON_WALL = 1e-9  # metres
+_FARTHEST = 1e8  # metres, the limit of positions
 
 
 class WalkableArea:
@@ -41,7 +42,8 @@ class WalkableArea:
     Raises
     ------
     InputError
-        For a geometry that is not a polygon, is not valid or has no area.
+        For a geometry that is not a polygon, is not valid, has no area or lies farther than 1e8 m from the
+        origin, where no position may lie either.
     """
 
     def __init__(self, geometry: shapely.Geometry) -> None:
@@ -53,6 +55,9 @@ class WalkableArea:
             raise InputError(
                 f"polygons that are not valid: {shapely.is_valid_reason(geometry)}", "valid polygons"
             )
+        farthest = float(np.abs(geometry.bounds).max())
+        if farthest > _FARTHEST:
+            raise InputError(f"a coordinate of {farthest:.3g} m", f"coordinates within ±{_FARTHEST:g} m")
         shapely.prepare(geometry)
         self.geometry = geometry
         rings = [
@@ -82,7 +87,12 @@ class WalkableArea:
         if isinstance(area, cls):
             return area
         if isinstance(area, str | Path):
-            return cls(_read(Path(area), shapely))
+            path = Path(area)
+            geometry = _read(path, shapely)
+            try:
+                return cls(geometry)
+            except InputError as error:
+                raise error.at(path) from error
         geometry = getattr(area, "polygon", area)  # PedPy's WalkableArea
         if not isinstance(geometry, shapely.Geometry):
             raise InputError(
@@ -202,24 +212,30 @@ def _segments(ring: FloatArray) -> FloatArray:
 def _read(path: Path, shapely: Any) -> shapely.Geometry:
     """Read the polygons of a GeoJSON or WKT file."""
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_BYTES + 1)  # a device may be endless
+        text = data[:_MOST_BYTES].decode()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             getattr(error, "strerror", None) or "a file that is not text", "a walkable area", path=path
         ) from error
+    if len(data) > _MOST_BYTES:
+        found, most = f"more than {_MOST_BYTES // 2**20} MiB", "a file of polygons in metres"
+        raise InputError(found, most, path=path)
     is_json = text.lstrip().startswith("{")
     expected = "GeoJSON or well-known text with polygons in metres"
     if _levels(text) > _MOST_LEVELS:  # GEOS has no limit but the stack, and ends the process
         raise InputError("brackets within brackets without end", expected, path=path)
     try:
-        geometry = shapely.from_geojson(text) if is_json else shapely.from_wkt(text)
-        polygons = [
-            one
-            for part in shapely.get_parts(geometry)
-            for one in shapely.get_parts(part)
-            if one.geom_type == "Polygon"
-        ]
-        area = shapely.union_all(polygons)
+        with np.errstate(over="ignore", invalid="ignore"):  # `WalkableArea` refuses such coordinates
+            geometry = shapely.from_geojson(text) if is_json else shapely.from_wkt(text)
+            polygons = [
+                one
+                for part in shapely.get_parts(geometry)
+                for one in shapely.get_parts(part)
+                if one.geom_type == "Polygon"
+            ]
+            area = shapely.union_all(polygons)
     # Curves are no geometries of Shapely.
     except (shapely.errors.ShapelyError, NotImplementedError, TypeError, ValueError) as error:
         raise InputError(str(error).splitlines()[0] or "no geometry", expected, path=path) from error
@@ -229,6 +245,7 @@ def _read(path: Path, shapely: Any) -> shapely.Geometry:
 
 
 _MOST_LEVELS = 50
+_MOST_BYTES = 2**28
 
 
 def _levels(text: str) -> int:

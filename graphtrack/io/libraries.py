@@ -231,7 +231,12 @@ def _write_geopackage(tracks: TrackSet, path: Path) -> None:
     with warnings.catch_warnings():
         # A local ground has no coordinate reference system.
         warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
-        to_geopandas(tracks).to_file(path, driver="GPKG", layer=path.stem, engine="pyogrio")
+        errors = package("pyogrio.errors", "geo")
+        table = to_geopandas(tracks)
+        try:
+            table.to_file(path, driver="GPKG", layer=path.stem, engine="pyogrio")
+        except (errors.DataSourceError, errors.FeatureError) as error:  # of a full disk, too
+            raise OSError(" ".join(str(error).split())) from error
 
 
 def _write_geoparquet(tracks: TrackSet, path: Path) -> None:

@@ -255,7 +255,10 @@ def table_in(path: Path) -> Path:
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
     """Return the content of a TOML file; ``expected`` describes it in messages."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        with Path(path).open(encoding="utf-8") as stream:
+            text = stream.read(_MOST_CHARACTERS + 1)  # a device may be endless
+        if len(text) > _MOST_CHARACTERS:
+            raise InputError(f"more than {_MOST_CHARACTERS:,} characters", expected, path=path)
         # The parser takes quadratic time and memory for a key of many parts.
         for number, line in enumerate(text.split("\n"), 1):
             if line.count(".") > _MOST_PARTS and not _is_numbers(line):
@@ -272,6 +275,7 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
 
 
 _MOST_PARTS = 100
+_MOST_CHARACTERS = 10**8
 
 
 def _is_numbers(line: str) -> bool:

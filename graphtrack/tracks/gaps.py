@@ -76,8 +76,14 @@ def gaps_without_time(tracks: TrackSet) -> int:
 
 
 def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
-    """Return the median of frame numbers a second between rows, given their frames and seconds (n,)."""
-    rates = np.concatenate([np.empty(0), *(np.diff(frame) / np.diff(t) for frame, t in rows)])
+    """Return the median of frame numbers a second between rows, given their frames and seconds (n,).
+
+    Rows within `TIME_TOLERANCE` of each other are at one time, and tell no rate.
+    """
+    steps = [(np.diff(frame), np.diff(t)) for frame, t in rows]
+    apart = [seconds > TIME_TOLERANCE for _, seconds in steps]
+    known = zip(steps, apart, strict=True)
+    rates = np.concatenate([np.empty(0), *(frames[far] / seconds[far] for (frames, seconds), far in known)])
     return float(np.median(rates)) if len(rates) else 0.0
 
 

@@ -1,10 +1,14 @@
 """Walkable areas against brute force, and paths that follow walls."""
 
 import json
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given as drawn
+from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.walkable import REACH, WALLS, WalkableArea
@@ -66,16 +70,33 @@ def test_files_objects_and_what_is_none_of_them(area, tmp_path):
         assert WalkableArea.of(given).geometry.equals(COURT)
     (tmp_path / "line.wkt").write_text("LINESTRING (0 0, 1 1)")
     (tmp_path / "broken.wkt").write_text("POLYGON ((0 0")
+    (tmp_path / "endless.wkt").symlink_to("/dev/zero")
     for given, found in (
         (tmp_path / "line.wkt", "no polygon"),
         (tmp_path / "broken.wkt", "Exception"),
         (tmp_path / "missing.wkt", "No such file"),
         (shapely.Point(0, 0), "type Point"),
         (shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), "not valid"),
+        (tmp_path / "endless.wkt", "more than 256 MiB"),
         (3, "type int"),
     ):
         with pytest.raises(InputError, match=found):
             WalkableArea.of(given)
+
+
+@drawn(st.floats(1.0001e8, 1.7e308), st.sampled_from([-1, 1]), st.sampled_from([0, 1]), st.booleans())
+def test_coordinates_farther_than_positions_may_lie_are_refused(tmp_path_factory, far, sign, axis, in_file):
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    corners[2 if sign > 0 else 0, axis] = sign * far
+    area: shapely.Polygon | Path = shapely.Polygon(corners)
+    if in_file:
+        area = tmp_path_factory.mktemp("areas") / "far.wkt"
+        area.write_text(shapely.to_wkt(shapely.Polygon(corners), rounding_precision=-1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=r"within ±1e\+08|not valid") as error:
+            WalkableArea.of(area)
+    assert not in_file or "far.wkt" in str(error.value)
 
 
 def test_a_passage_narrower_than_the_margins_confines_too():

@@ -80,6 +80,30 @@ def test_a_full_disk_is_one_error_in_every_format(
     assert not list(output.parent.iterdir())
 
 
+def test_a_geopackage_that_cannot_be_completed_is_an_error_of_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    geopandas = pytest.importorskip("geopandas")
+
+    def full(*arguments: object, **options: object) -> None:
+        raise pyogrio.errors.FeatureError("failed to insert:\ndisk is full")
+
+    monkeypatch.setattr(geopandas.GeoDataFrame, "to_file", full)
+    (tmp_path / "in.csv").write_text(TEXT)
+    done = run("convert", tmp_path / "in.csv", "-o", tmp_path / "o.gpkg", program="graphtrack")
+    assert done.returncode == 2 and "found failed to insert: disk is full when writing" in done.stderr
+    assert [one.name for one in tmp_path.iterdir()] == ["in.csv"]
+
+
+def test_the_table_of_info_ends(tmp_path: Path) -> None:
+    rows = (f"{k},0,0,{k},0\n" for k in range(1001))
+    (tmp_path / "in.csv").write_text(HEADER + "\n" + "".join(rows))
+    done = run("info", tmp_path / "in.csv", program="graphtrack")
+    assert done.returncode == 0 and "1001 tracks" in done.stdout
+    assert "only the first 1,000 tracks are shown; --json writes all" in done.stderr
+
+
 @pytest.mark.parametrize("name", ["öut.csv", os.fsdecode(b"\xff\xfeo.csv")])
 def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> None:
     (tmp_path / "in.csv").write_text(TEXT)

@@ -183,6 +183,14 @@ def test_keys_of_many_parts(tmp_path: Path, key: str) -> None:
         Model.load(path)
 
 
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no endless device")
+def test_model_files_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="more than 100,000,000 characters"):
+        Model.load(path)
+
+
 def test_integers_of_thousands_of_digits(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("[motion]\na = " + "1" * 5000 + "\n")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import sys
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 from format_samples import made_tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from same_tracks import assert_same
 
 import graphtrack as gt
@@ -289,3 +293,21 @@ def test_a_damaged_file_is_told(tmp_path: Path) -> None:
     path.write_text("scorer,made,made,made\nbodyparts,nose,nose,nose\n0,1.0,2.0,0.9\n")
     with pytest.raises(InputError, match="a file of DeepLabCut that movement cannot read"):
         gt.read(path, fps=10.0, metres_per_pixel=0.02)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=20)
+)
+@settings(max_examples=25, deadline=None)
+def test_changed_bytes_are_read_or_one_error(changes):
+    with TemporaryDirectory() as folder:
+        path = sleap(Path(folder) / "poses.h5")
+        content = bytearray(path.read_bytes())
+        dataset = xarray.Dataset({"position": (("time",), np.arange(9.0))})
+        for data in (content, bytearray(dataset.to_netcdf(engine="h5netcdf"))):
+            for place, change in changes:
+                data[8 + int(place * (len(data) - 8))] ^= change
+            path = Path(folder) / "changed.nc"
+            path.write_bytes(data)
+            with contextlib.suppress(InputError):  # KeyError and others of HDF5 were tracebacks
+                gt.read(path, metres_per_pixel=0.01)

@@ -600,9 +600,9 @@ def software_of(source: Source) -> str | None:
         with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
             names = set(file)
             source.limit.check(_claimed_bytes(file), "arrays")
-    except InputError:
+    except (InputError, MemoryError):
         raise
-    except (OSError, RuntimeError, ValueError):  # damaged: reading it as a dataset reports the fault
+    except Exception:  # HDF5 raises many kinds for damaged files: reading it as a dataset reports the fault
         return None
     return SLEAP if names >= _OF_SLEAP else DEEPLABCUT if names >= _OF_DLC else None
 
