@@ -46,6 +46,7 @@ from graphtrack.saved import OtherSettings, Saved
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.time import TIME_TOLERANCE
+from graphtrack.tracks.validation import LARGEST_SECONDS, bounds_of, is_number
 
 NOBODY = -1
 
@@ -378,9 +379,10 @@ class OnlineAssociation(Moves, Saved):
 
     def check_time(self, t: float) -> None:
         """Raise InputError unless a frame at a time (seconds) is valid."""
-        if not np.isfinite(t) or not t > self._last + TIME_TOLERANCE:
-            after = "a time in seconds" + (f" after {self._last:.15g}" if self.updates else "")
-            raise InputError(f"t = {t:.15g}", after)
+        if not (is_number(t) and abs(t) <= LARGEST_SECONDS):
+            raise InputError(f"t = {t!r}", f"a time in seconds, {bounds_of('t').expected}")
+        if not t > self._last + TIME_TOLERANCE:
+            raise InputError(f"t = {t:.15g}", f"a time in seconds after {self._last:.15g}")
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -405,6 +407,8 @@ class OnlineAssociation(Moves, Saved):
         chains = self.chains
         oldest = t - self.lag - TIME_TOLERANCE
         kept = [k for k in self._first if chains.t[k] >= oldest][-(REVISED_FRAMES - 1) :]
+        # A new person is decided by two frames together, so the last is open however far it is.
+        kept = kept or self._first[-1:]
         settled = kept[0] if kept else len(chains.t)
         open_before = self._first[0] if self._first else len(chains.t)
         if settled == open_before:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
@@ -197,6 +197,9 @@ class DetectionTracker(Saved):
             is their input ``appearance``, of one size in all frames
         """
         given = detections.tolist() if isinstance(detections, np.ndarray) else detections
+        self.check_time(t)
+        if not isinstance(given, Iterable):
+            raise InputError(f"detections = {given!r}", "observations, or positions (n, 2) in metres")
         observations = [self.on_the_ground(one, t) for one in given]
         self._note_unused(observations)
         position = np.array([one.position for one in observations], float).reshape(-1, 2)

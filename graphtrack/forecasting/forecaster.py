@@ -18,7 +18,17 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.saved import Saved
+from graphtrack.tracks.display import shortened
 from graphtrack.tracks.time import TIME_TOLERANCE
+from graphtrack.tracks.validation import (
+    LARGEST_ID,
+    LARGEST_METRES,
+    LARGEST_SECONDS,
+    bounds_of,
+    check_integer,
+    is_number,
+    real_numbers,
+)
 
 _WALKING = 0.3  # speed, m/s, at which people half count as walking
 
@@ -88,6 +98,7 @@ def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 LONGEST_HORIZON = 60.0  # longest useful time ahead in seconds
 MOST_TIMES = 1000  # times ahead of one forecast
+MOST_SAMPLES = 100_000  # sampled paths of one forecast
 _FORGOTTEN = 10.0  # seconds without observation after which people are dropped
 _HEAD_SECONDS = 0.3  # time constant over which directions of the head are averaged
 JUDGED = 2.8  # seconds of observation for a person's outcome to calibrate other forecasts
@@ -139,15 +150,37 @@ def times_ahead(horizon: float, step: float) -> FloatArray:
 
     Raise InputError if there is none, or too many.
     """
-    if not (math.isfinite(horizon) and 0.0 < horizon <= LONGEST_HORIZON):
-        raise InputError(f"horizon = {horizon:g}", f"seconds above 0, {LONGEST_HORIZON:g} at most")
-    if not (math.isfinite(step) and 0.0 < step <= horizon + 1e-9):
-        raise InputError(f"step = {step:g}", f"seconds above 0, no more than the horizon ({horizon:g})")
+    if not (is_number(horizon) and 0.0 < horizon <= LONGEST_HORIZON):
+        raise InputError(f"horizon = {horizon!r}", f"seconds above 0, {LONGEST_HORIZON:g} at most")
+    if not (is_number(step) and 0.0 < step <= horizon + 1e-9):
+        raise InputError(f"step = {step!r}", f"seconds above 0, no more than the horizon ({horizon:g})")
     count = math.floor(horizon / step + 1e-6)
     if count > MOST_TIMES:
         raise InputError(f"{count} steps to the horizon", f"a longer step: {MOST_TIMES} at most")
     times: FloatArray = step * np.arange(1.0, count + 1.0)
     return times
+
+
+def _identities(given: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return ids (n,), each once; InputError for others."""
+    ids = np.asarray(given)
+    is_valid = ids.ndim == 1 and (not ids.size or ids.dtype.kind in "iu")
+    if not is_valid or (ids.size and (ids.max() > LARGEST_ID or ids.min() < -LARGEST_ID)):
+        raise InputError(f"ids {shortened(str(given))}", f"a list of whole numbers within ±{LARGEST_ID}")
+    if len(np.unique(ids)) != len(ids):
+        raise InputError(f"an id twice among {len(ids)}", "each id once, with its position")
+    return ids.astype(np.int64)
+
+
+def _numbers(name: str, given: object, shape: tuple[int, ...]) -> FloatArray:
+    """Return numbers of a shape; InputError for others."""
+    try:
+        numbers = real_numbers(given)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} that is no array of numbers ({error})", f"shape {shape}") from None
+    if numbers.shape != shape:
+        raise InputError(f"{name} of shape {numbers.shape}", f"shape {shape}")
+    return numbers
 
 
 class Forecaster(Saved):
@@ -223,18 +256,23 @@ class Forecaster(Saved):
         Raises
         ------
         InputError
-            If time does not increase, an id comes twice, or a position is not finite.
+            If time does not increase, an id comes twice, or a value is out of bounds. The state is then
+            unchanged.
         """
-        ids = np.asarray(track_id, np.int64)
-        where = np.asarray(position, float).reshape(-1, 2)
-        if not (math.isfinite(t) and t > self.t):
-            raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
-        if len(np.unique(ids)) != len(ids) or len(ids) != len(where):
-            raise InputError(f"{len(ids)} ids for {len(where)} positions", "each id once, with its position")
-        if not np.isfinite(where).all():
-            raise InputError("a position that is not finite", "metres")
+        if not (is_number(t) and abs(t) <= LARGEST_SECONDS and t > self.t):
+            raise InputError(f"t = {t!r}", f"a time in seconds after {self.t:g}")
+        ids = _identities(track_id)
+        where = _numbers("position", position if len(position) else np.empty((0, 2)), (len(ids), 2))
+        if not (np.abs(where) <= LARGEST_METRES).all():
+            raise InputError("a position that is not finite, or too far", bounds_of("position").expected)
         points = where[:, 0] + 1j * where[:, 1]
-        spread = np.nan_to_num(np.zeros(len(ids)) if std is None else np.asarray(std, float))
+        spread = np.nan_to_num(np.zeros(len(ids)) if std is None else _numbers("std", std, ids.shape))
+        if not ((spread >= 0.0) & (spread <= LARGEST_METRES)).all():
+            raise InputError("a std that is negative, or too large", "metres, or NaN where it is not known")
+        if head is not None:
+            head = _numbers("head", head, ids.shape)
+            if np.isinf(head).any():
+                raise InputError("a head that is infinite", "radians, or NaN where it was not observed")
         self._forget(t)
         known = np.array([one in self._of for one in ids.tolist()], bool)
         self._begin(t, ids[~known], points[~known], spread[~known])
@@ -275,7 +313,7 @@ class Forecaster(Saved):
 
         Parameters
         ----------
-        ahead : (A,) seconds after the last update
+        ahead : (A,) seconds after the last update, above 0, `LONGEST_HORIZON` at most
         track_id : people to predict; None: all `people`
         samples : number of paths to sample
         random : generator of the samples
@@ -283,14 +321,19 @@ class Forecaster(Saved):
         Raises
         ------
         InputError
-            For a person who was not observed in the last seconds.
+            For a person who was not observed in the last seconds, and for invalid times.
         """
-        ids = self.people() if track_id is None else np.asarray(track_id, np.int64)
+        check_integer("samples", samples, 0, MOST_SAMPLES)
+        ids = self.people() if track_id is None else _identities(track_id)
         unknown = [one for one in ids.tolist() if one not in self._of]
         if unknown:
             raise InputError(f"track {unknown[0]}", "a person observed in the last seconds")
         at = self._at(ids)
-        times = np.asarray(ahead, float)
+        times = _numbers("ahead", ahead, (np.size(ahead),))
+        if not ((times > 0.0) & (times <= LONGEST_HORIZON)).all():
+            raise InputError(
+                f"ahead = {shortened(str(ahead))}", f"seconds above 0, {LONGEST_HORIZON:g} at most"
+            )
         expected = self._expected(at, times)
         interpolate, _ = between_lags(times)
         stretched = self._calibration.factors @ interpolate.T

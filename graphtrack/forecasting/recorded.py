@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +21,13 @@ from graphtrack.io.formats.native import read_parquet
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import cells_of_file
 from graphtrack.io.source import Source
+from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.model.same_time import with_merged_rows
 from graphtrack.tracks.cells import numbers
 from graphtrack.tracks.given import warn_unused
 from graphtrack.tracks.time import TIME_TOLERANCE, distinct_times
 from graphtrack.tracks.track import STATE, Track, TrackSet
-from graphtrack.tracks.validation import check_positive
+from graphtrack.tracks.validation import check_integer, check_positive, check_within
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,8 +35,15 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
 
 
+_NOT_READ: dict[str, Any] = {
+    **dict.fromkeys(("pixel", "body", "body_kappa", "body_likelihood", "head_likelihood")),
+    "inputs": {},
+}
+"""Channels that forecasts do not read, and which may have no product at one time."""
+
 _LONGEST = 86400.0
 _MOST_ROWS = 20_000_000
+_MOST_SAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +98,13 @@ _USED = ("t", "x", "y", "pos_std", "x_std", "y_std", "head_deg", "observed")
 
 
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
-    """Return the observed people, time by time; rows without a position are left out."""
+    """Return the observed people, time by time; rows without a position are left out.
+
+    Observations of one person at one time are merged, as smoothers do.
+    """
     parts: list[tuple[FloatArray, ...]] = []
-    for track in tracks:
+    used = [replace(track, **_NOT_READ) for track in tracks]
+    for track in with_merged_rows(used, LikelihoodParameters(), None):
         has_position = np.isfinite(track.position).all(axis=1)
         if track.observed is not None:
             has_position &= ~(track.observed == 0.0)
@@ -154,14 +167,17 @@ def forecast(
     """
     ahead = times_ahead(horizon, step)
     check_positive("every", every, _LONGEST)
-    if history is not None and not (math.isfinite(history) and 0.0 <= history <= _LONGEST):
-        raise InputError(f"history = {history:g}", f"seconds from 0 to {_LONGEST:g}")
-    if not 0 <= samples <= 1000:
-        raise InputError(f"samples = {samples}", "a number from 0 to 1000")
+    check_within(0.0, _LONGEST, history=history)
+    check_integer("samples", samples, 0, _MOST_SAMPLES)
+    check_integer("seed", seed, 0, 2**63 - 1)
     tracks = tracks_of(tracks)
     warn_unused(tracks, _USED, "forecasts")
     if isinstance(parameters, str | Path):
         parameters = ForecastParameters.load(parameters)
+    if not (parameters is None or isinstance(parameters, ForecastParameters)):
+        raise InputError(
+            f"parameters of type {type(parameters).__name__}", "ForecastParameters or their file"
+        )
     forecaster, random = Forecaster(parameters, walkable), np.random.default_rng(seed)
     made: list[tuple[int, Forecast]] = []
     last, rows = -math.inf, 0

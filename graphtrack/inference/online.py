@@ -55,6 +55,7 @@ from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.display import html_pairs
+from graphtrack.tracks.validation import check_count, is_number
 
 Parts = tuple[Observation, ...]
 """Observations of one time that are merged in a step."""
@@ -148,12 +149,15 @@ class OnlineSmoother:
         step_tolerance: float = 0.05,
         max_iterations: int = 20,
     ) -> None:
-        if not relinearize_threshold > 0.0:
-            raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
-        if not step_tolerance >= 0.0:
-            raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
-        if max_iterations < 1:
-            raise InputError(f"max_iterations = {max_iterations}", "at least 1")
+        if not (is_number(relinearize_threshold) and relinearize_threshold > 0.0):
+            raise InputError(f"relinearize_threshold = {relinearize_threshold!r}", "a positive number")
+        if not (is_number(step_tolerance) and step_tolerance >= 0.0):
+            raise InputError(f"step_tolerance = {step_tolerance!r}", "a number that is not negative")
+        check_count("max_iterations", max_iterations)
+        if camera is not None and not isinstance(camera, GroundCamera):
+            raise InputError(
+                f"camera = {camera!r}", "a GroundCamera, such as GroundCamera.from_homography(…)"
+            )
         self._walkable = None if walkable is None else WalkableArea.of(walkable)
         chosen = Model.named(model)
         self.model = chosen if walkable is None else chosen.with_terms(StaysInside)

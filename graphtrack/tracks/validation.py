@@ -131,6 +131,13 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
         raise InputError(f"{name} = {value!r}", f"a positive number up to {highest:g}")
 
 
+def check_integer(name: str, value: Any, lowest: int, highest: int) -> None:
+    """Raise InputError unless a setting is a whole number from ``lowest`` to ``highest``."""
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (is_integer and lowest <= value <= highest):
+        raise InputError(f"{name} = {value!r}", f"a whole number from {lowest} to {highest}")
+
+
 def check_within(low: float, high: float, **values: float | None) -> None:
     """Raise InputError for a setting that is neither a number from ``low`` to ``high`` nor None."""
     for name, value in values.items():
@@ -139,8 +146,14 @@ def check_within(low: float, high: float, **values: float | None) -> None:
 
 
 def is_number(value: object) -> bool:
-    """Return whether a setting is a real number, and not text or a boolean."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    """Return whether a setting is a real number that a double can hold, and not text or a boolean."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
 
 
 def check_count(name: str, value: object) -> None:
@@ -164,7 +177,10 @@ def real_numbers(given: Any) -> NDArray[np.float64]:
         raise TypeError("complex numbers; expected real numbers")
     if value.dtype.kind in "mM":
         raise TypeError("dates or durations; expected seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
-    numbers = np.array(value, dtype=float)
+    try:
+        numbers = np.array(value, dtype=float)
+    except OverflowError as error:
+        raise ValueError(str(error)) from None
     if isinstance(given, np.ma.MaskedArray):
         numbers[np.ma.getmaskarray(given)] = np.nan
     return numbers

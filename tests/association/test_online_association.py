@@ -165,3 +165,19 @@ def test_the_memory_of_a_tracker_stays_flat(capsys: pytest.CaptureFixture[str]) 
     assert len(people) > 500 and len(tracker) < 40
     assert sizes[-1] < 1.2 * sizes[0]
     assert used[-1] - used[0] < 8.0
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+@pytest.mark.parametrize("hz", [5.0, 10.0, 50.0])
+def test_two_people_far_apart_keep_their_identities_however_short_the_lag(hz: float, noise: float) -> None:
+    rng, seconds = np.random.default_rng(5), 6.0
+    t = np.arange(round(seconds * hz)) / hz
+    places = np.stack(
+        [np.column_stack([1.2 * t, 0 * t]), np.column_stack([9.0 - 1.2 * t, 3.0 + 0 * t])], axis=1
+    )
+    places += rng.normal(0.0, noise, places.shape)
+    for lag in (0.01 / hz, 0.5 / hz, 0.99 / hz):
+        tracker = gt.OnlineTracker("position", lag=lag)
+        found = [tracker.update(now, some) for now, some in zip(t.tolist(), places, strict=True)]
+        late = {one.track_id for people in found[round(3.0 * hz) :] for one in people}
+        assert len(late) == 2 and len(found[-1]) == 2

@@ -37,6 +37,26 @@ def test_an_observation_that_is_none_is_refused(given: object) -> None:
         smoother.update(given)
 
 
+@pytest.mark.parametrize("t", ["0.3", None, np.nan, np.inf, 1e300, -1e12, 10**400, True])
+@pytest.mark.parametrize("detections", [[], [(0.0, 0.0)]], ids=["nobody", "somebody"])
+def test_times_that_are_no_seconds_are_refused(t: object, detections: list[tuple[float, float]]) -> None:
+    tracker = gt.OnlineTracker("position")
+    with pytest.raises(gt.InputError, match="t = "):
+        tracker.update(t, detections)
+    assert tracker.updates == 0
+
+
+@pytest.mark.parametrize("detections", [None, 5, 1.5])
+def test_detections_that_are_no_sequence_are_refused(detections: object) -> None:
+    with pytest.raises(gt.InputError, match="detections = "):
+        gt.OnlineTracker("position").update(0.0, detections)
+
+
+def test_an_integer_that_no_double_holds_is_refused() -> None:
+    with pytest.raises(gt.InputError, match="t = "):
+        gt.OnlineSmoother("position").update(gt.Observation(t=10**400, position=(0.0, 0.0)))
+
+
 def test_complex_positions_are_refused_everywhere() -> None:
     with pytest.raises(gt.InputError, match="complex"):
         track(position=POSITION + 1j)
@@ -62,6 +82,13 @@ def test_complex_positions_are_refused_everywhere() -> None:
         (gt.OnlineSmoother, "relinearize_threshold", 0.0),
         (gt.OnlineSmoother, "step_tolerance", -1.0),
         (gt.OnlineSmoother, "max_iterations", 0),
+        (gt.OnlineSmoother, "max_iterations", 1.5),
+        (gt.OnlineSmoother, "max_iterations", "3"),
+        (gt.OnlineSmoother, "step_tolerance", "x"),
+        (gt.OnlineSmoother, "relinearize_threshold", None),
+        (gt.OnlineSmoother, "lag", 10**400),
+        (gt.OnlineSmoother, "camera", "image"),
+        (gt.OnlineTracker, "camera", "image"),
         (gt.OnlineSmoother, "model", "jiont"),
     ],
 )

@@ -297,3 +297,66 @@ def test_sums_over_what_is_near_are_those_of_all_weights():
     found = kernel_sums(here, there, values, count)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     np.testing.assert_array_equal(kernel_sums(here[:, 3:4].copy(), there, values, count)[0], found[3])
+
+
+UPDATES = {
+    "ids": [([1.7],), (["a"],), ([True],), ([2**63],), ([None],), ([[1]],), ([2**53],)],
+    "position": [([1], [(np.nan, 0.0)]), ([1], [(1e300, 0.0)]), ([1], [(0.0, 0.0, 0.0)]), ([1, 2],)],
+    "std": [([1], [(0.0, 0.0)], wrong) for wrong in ([1.0, 2.0], [-1.0], ["x"], [np.inf])],
+    "head": [([1], [(0.0, 0.0)], None, wrong) for wrong in ([1.0, 2.0], [np.inf], ["x"])],
+}
+
+
+@pytest.mark.parametrize(
+    ("named", "given"), [(name, given) for name, some in UPDATES.items() for given in some], ids=str
+)
+def test_an_update_that_cannot_be_used_is_refused_and_changes_nothing(named, given):
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [1], [(0.5 * k, 0.0)])
+    before = forecaster.forecast([0.4]).position
+    ids, position, *rest = (*given, [(0.0, 0.0)])[: max(len(given), 2)]
+    with pytest.raises(InputError, match=named):
+        forecaster.update(1.2, ids, position, *rest)
+    np.testing.assert_array_equal(forecaster.forecast([0.4]).position, before)
+    for t in (np.nan, None, "2", 1e300):
+        with pytest.raises(InputError, match="t = "):
+            forecaster.update(t, [1], [(0.0, 0.0)])
+
+
+@pytest.mark.parametrize("ahead", [np.nan, 5.0, None, [np.nan], [-1.0], [0.0], ["x"], [1e300], [[1.0, 2.0]]])
+def test_times_ahead_that_are_no_future_are_refused(ahead):
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [1], [(0.5 * k, 0.0)])
+    with pytest.raises(InputError, match="ahead"):
+        forecaster.forecast(ahead)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("samples", wrong) for wrong in (1.5, "x", True, -1)),
+        *(("seed", wrong) for wrong in (-1, "x", 0.5)),
+        *(("step", wrong) for wrong in ("a", None)),
+        *(("horizon", wrong) for wrong in ("a", None)),
+        ("history", "a"),
+        ("parameters", {}),
+    ],
+)
+def test_settings_of_another_type_are_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        gt.forecast(track(1, np.zeros((5, 2))), **{name: value})
+
+
+@pytest.mark.parametrize("apart", [1e-9, 1e-6, 1e-5, 1e-4])
+def test_rows_of_two_sensors_at_one_time_are_merged(apart):
+    rng, n = np.random.default_rng(0), 30
+    t = (STEP * np.arange(n)[:, None] + np.array([0.0, apart])).ravel()
+    position = np.column_stack([1.2 * t, np.zeros(2 * n)]) + rng.normal(0.0, 0.1, (2 * n, 2))
+    std = np.full(2 * n, 0.1)
+    both = gt.Track(1, np.arange(2 * n), t, position, position_std=std)
+    mean = position.reshape(n, 2, 2).mean(axis=1)
+    one = gt.Track(1, 2 * np.arange(n), t[::2], mean, position_std=std[::2] / 2**0.5)
+    found, expected = gt.forecast(both).to_table(), gt.forecast(one).to_table()
+    np.testing.assert_allclose(found.to_numpy(), expected.to_numpy(), rtol=1e-6, atol=1e-6)
