@@ -22,6 +22,7 @@ from graphtrack.interaction.gaze_model import (
     PRESENCE,
     PROBABILITY,
     REACH,
+    SETTLING,
     WAYS,
     concentration,
     gaze_of_frame,
@@ -181,8 +182,13 @@ class _Person:
 def _person(track: Track, groups: Groups, online: bool) -> _Person:
     _, t, position, velocity, *_ = known_rows(track, online)
     rows = np.flatnonzero(groups.track_id == track.track_id)
-    place = np.searchsorted(track.frame, groups.frame[rows])
-    return _Person(track, t, np.hstack([position, velocity]), track.t[place], groups.group[rows])
+    t_group, group = track.t[np.searchsorted(track.frame, groups.frame[rows])], groups.group[rows]
+    if groups.absent is not None:
+        rows = np.flatnonzero(groups.absent.track_id == track.track_id)
+        t_group = np.append(t_group, groups.absent.t[rows])
+        group = np.append(group, groups.absent.group[rows])
+    order = np.argsort(t_group)
+    return _Person(track, t, np.hstack([position, velocity]), t_group[order], group[order])
 
 
 def _of_one(
@@ -462,6 +468,7 @@ class _Known:
     """State of p people at their last observation; see also `GazeTargets`."""
 
     track_id: IntArray
+    t_first: FloatArray  # (p,) seconds of the first observation
     t: FloatArray  # (p,) seconds
     t_head: FloatArray  # (p,) seconds of the last observed head; −∞ without one
     group: IntArray
@@ -502,7 +509,7 @@ _OF_TARGETS = ("target", "person")
 def _nobody(places: int) -> _Known:
     none, ids = np.empty(0), np.empty(0, dtype=np.int64)
     beliefs = np.empty((0, 3)), np.empty((0, places + WAYS, 3))
-    return _Known(ids, none, none, ids, np.zeros(1, dtype=np.int64), ids, *beliefs)
+    return _Known(ids, none, none, none, ids, np.zeros(1, dtype=np.int64), ids, *beliefs)
 
 
 class OnlineAttention(Saved):
@@ -572,13 +579,17 @@ class OnlineAttention(Saved):
         if not t > self.t:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
         was = known.rows(ids)
-        before = np.where(was >= 0, np.append(known.t, -np.inf)[was], -np.inf)
-        head_before = np.where(was >= 0, np.append(known.t_head, -np.inf)[was], -np.inf)
+        t_first = np.where(was >= 0, np.append(known.t_first, t)[was], t)
+        settled = (was >= 0) & (t - t_first >= SETTLING)
+        before = np.where(settled, np.append(known.t, -np.inf)[was], -np.inf)
+        head_before = np.where(settled, np.append(known.t_head, -np.inf)[was], -np.inf)
         everybody = self._present.take(people)
         age = everybody.age
         observers = np.flatnonzero(age == 0.0)
         group = np.append(known.group, -1)[known.rows(everybody.ids)]
-        group[observers] = groups.group
+        for one in (groups, groups.absent):
+            if one is not None:
+                group[np.searchsorted(everybody.ids, one.track_id)] = one.group
         length = np.linalg.norm(people.head, axis=1)
         kappa = concentration(-2.0 * np.log(np.maximum(length, 1e-300)))
         angle = np.where(length > 0.0, direction(people.head), np.nan)
@@ -594,7 +605,8 @@ class OnlineAttention(Saved):
             *(was, known.first, known.target, known.person, known.elsewhere, parameters),
         )
         t_head = np.where(length > 0.0, t, head_before)
-        kept = _Known(ids, np.full(len(ids), t), t_head, groups.group, first, target, person, elsewhere)
+        seen = t_first, np.full(len(ids), t), t_head
+        kept = _Known(ids, *seen, groups.group, first, target, person, elsewhere)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
         memory = max(_FORGOTTEN / self.parameters.switching, HELD)

@@ -28,6 +28,9 @@ WAYS = 24
 _NARROW = 0.26  # radians, slightly more than half the angular width of a person at 1 m
 _REPEATED = 1.5  # seconds, twice the correlation time of the errors of heads
 _HIDDEN = 0.4  # seconds, mean duration of gaze at a target that other people hide
+SETTLING = 0.5
+"""Seconds from an observer's first frame in which, online, each frame is as the first one: until then the
+other people's first rows may be missing, and with them most of the prior."""
 _UNIFORM = 1.0 / (2.0 * math.pi)
 _WIDEST = math.pi**2 / 3.0  # rad², variance of the uniform density
 _WAY = 2.0 * math.pi / WAYS  # radians between two directions
@@ -322,10 +325,13 @@ def gaze_over_time(
     bearing[count:] = _WAY * np.arange(WAYS)
     held, drawn, found = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
     belief, likelihood, head = np.zeros((size, 3)), np.ones(size), np.empty(2)
-    since = math.inf
+    since, elapsed = math.inf, 0.0
     for f in range(n):
         before = gap[f] if f > 0 else math.inf
         since += before
+        elapsed += gap[f] if f > 0 else 0.0
+        if not both and elapsed < SETTLING:
+            before = since = math.inf
         see(own[f], neighbours[f], view[:, :people])
         view[:, people:] = places[f]
         bearing[:count] = view[BEARING]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -347,6 +347,7 @@ class Groups:
     probability : (n,) of a fellow member that it is one, on average; of somebody alone, that the likeliest
         companion is none
     centre : (n, 2) metres, of the o-space, or of those who walk; NaN for those alone
+    absent : likewise of the people who are not observed in a frame, but predicted; None: unknown
     """
 
     frame: IntArray
@@ -356,13 +357,14 @@ class Groups:
     kind: IntArray
     probability: FloatArray
     centre: FloatArray
+    absent: Groups | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __getitem__(self, rows: np.ndarray) -> Groups:
-        """Return a selection of the rows."""
-        return Groups(*(values[rows] for values in vars(self).values()))
+    def of(self, rows: np.ndarray) -> Groups:
+        """Return some of the rows."""
+        return Groups(**{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     @property
     def per_frame(self) -> float:
@@ -426,8 +428,16 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     if not len(people):
         return known.take(people)
     parts = [known.take(one) for one in people.frames()]
-    columns = [np.concatenate([getattr(one, name) for one in parts]) for name in vars(parts[0])]
-    return Groups(*columns)
+    absent = [one.absent for one in parts if one.absent is not None]
+    return replace(_joined_rows(parts), absent=_joined_rows(absent))
+
+
+def _joined_rows(parts: Sequence[Groups]) -> Groups:
+    return Groups(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in _COLUMNS})
+
+
+_COLUMNS = ("frame", "t", "track_id", "group", "kind", "probability", "centre")
+"""Fields of `Groups` with a value for each row."""
 
 
 def groups_of_present(people: People, parameters: GroupParameters) -> Groups:
@@ -453,7 +463,7 @@ def groups_of(
     count = np.bincount(of, minlength=len(label))
     kind[(size > 1) & ((total / np.maximum(count, 1))[label] > 0.5)] = 2
     frame_of = people.frame_of
-    return Groups(
+    everybody = Groups(
         people.frame[frame_of],
         people.t[frame_of],
         people.ids[people.person],
@@ -461,7 +471,9 @@ def groups_of(
         kind,
         _probability(people, evidence, within, size, parameters.apart),
         _centres(people, label, size, kind, parameters),
-    )[people.age == 0.0]
+    )
+    absent = people.age > 0.0
+    return replace(everybody.of(~absent), absent=everybody.of(absent))
 
 
 def _probability(
