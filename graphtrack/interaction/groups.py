@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -364,7 +364,8 @@ class Groups:
 
     def of(self, rows: np.ndarray) -> Groups:
         """Return some of the rows."""
-        return Groups(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return Groups(**columns)
 
     @property
     def per_frame(self) -> float:
@@ -433,7 +434,10 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
 
 
 def _joined_rows(parts: Sequence[Groups]) -> Groups:
-    return Groups(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in _COLUMNS})
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in parts]) for name in _COLUMNS
+    }
+    return Groups(**columns)
 
 
 _COLUMNS = ("frame", "t", "track_id", "group", "kind", "probability", "centre")
