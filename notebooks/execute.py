@@ -19,6 +19,10 @@ os.chdir({folder!r})
 matplotlib.pyplot.close("all")
 matplotlib.rcdefaults()"""
 
+QUIET = """import warnings
+warnings.filterwarnings("ignore", message="not used by")"""
+"""Simulated tracks have all channels, also those that a model does not use: notes on these are left out."""
+
 
 def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nbformat.NotebookNode:
     """The notebook at ``path`` with fresh outputs, run in ``folder``; the first error in a cell is raised.
@@ -26,8 +30,8 @@ def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nb
     With a ``kernel`` that is running already its names are forgotten first.
     """
     notebook = nbformat.read(path, as_version=4)
-    if kernel is not None:
-        notebook.cells.insert(0, nbformat.v4.new_code_cell(FORGET.format(folder=str(folder))))
+    begin = QUIET if kernel is None else FORGET.format(folder=str(folder)) + "\n" + QUIET
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(begin))
     client = NotebookClient(
         notebook,
         timeout=600,
@@ -37,8 +41,7 @@ def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nb
         resources={"metadata": {"path": str(folder)}},
     )
     client.execute()
-    if kernel is not None:
-        del notebook.cells[0]
+    del notebook.cells[0]
     # Output that differs between machines and is of no use to a reader.
     notebook.metadata.pop("language_info", None)
     for cell in notebook.cells:

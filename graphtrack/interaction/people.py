@@ -158,6 +158,10 @@ def interpolated(
     ``known``, ``values``: (n,) seconds, ascending, and (n, k) of the rows, at least one
     """
     last = len(known) - 1
+    # Times of one frame may differ by rounding.
+    after = np.minimum(np.searchsorted(known, t), last)
+    for near in (known[np.maximum(after - 1, 0)], known[after]):
+        t = np.where(np.abs(near - t) <= TIME_TOLERANCE, near, t)
     before, after = np.searchsorted(known, t, side="right") - 1, np.searchsorted(known, t)
     since = np.where(before >= 0, t - known[np.maximum(before, 0)], np.inf)
     until = np.where((after <= last) & (not online), known[np.minimum(after, last)] - t, np.inf)
