@@ -171,7 +171,7 @@ class _Person:
         """Return the group (n,) at the nearest known row, at the last one if ``online``; −1: none."""
         if not len(self.t_group):
             return np.full(len(t), -1)
-        before = np.searchsorted(self.t_group, t, side="right") - 1
+        before = np.searchsorted(self.t_group, t + TIME_TOLERANCE, side="right") - 1
         row = np.maximum(before, 0)
         after = np.minimum(before + 1, len(self.t_group) - 1)
         if not online:
