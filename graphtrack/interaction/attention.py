@@ -42,6 +42,7 @@ from graphtrack.interaction.people import (
     Present,
     drift,
     interpolated,
+    is_held,
     known_rows,
     people_of_estimates,
     predicted,
@@ -242,7 +243,7 @@ def _neighbours(
         if other is one or is_away:
             continue
         place, age = other.at(t, online)
-        place[~(age < HELD)] = np.nan
+        place[~is_held(age)] = np.nan
         away = np.linalg.norm(place - position, axis=1)
         if np.fmin.reduce(away, initial=np.inf) < REACH:
             found.append(other)
@@ -412,7 +413,7 @@ def _mutual(found: Sequence[Attention]) -> dict[tuple[int, int], float]:
             if not known.any():
                 continue
             p, since, until = interpolated(back.t[known], theirs[known, None], one.t, online=False)
-            p[~(np.minimum(since, until) < HELD)] = 0.0
+            p[~is_held(np.minimum(since, until))] = 0.0
             seconds = float(np.nansum(one.probability[:, k] * p[:, 0] * frame_seconds(one.t)))
             if seconds > 1e-6:
                 result[one.track_id, other] = seconds

@@ -142,6 +142,11 @@ def _without_gaps(t: FloatArray, vector: FloatArray, online: bool) -> FloatArray
     return found * presence(np.minimum(since, until))[:, None]
 
 
+def is_held(age: FloatArray) -> BoolArray:
+    """Return True where people are predicted from an observation of an age (n,), seconds."""
+    return np.asarray(age < HELD - TIME_TOLERANCE)
+
+
 def presence(age: FloatArray) -> FloatArray:
     """Return the share (n,), 1 to 0 at `HELD`, by which predictions from observations of an age (s) count."""
     return np.asarray(np.clip(1.0 - age / HELD, 0.0, 1.0))
@@ -219,7 +224,7 @@ def with_absent(people: People) -> People:
         first, stop = np.searchsorted(people.t, known[[0, -1]])
         frames = np.setdiff1d(np.arange(first, stop), frame_of[rows], assume_unique=True)
         found, age = predicted(known, values[rows], people.t[frames], online=False)
-        near = age < HELD
+        near = is_held(age)
         count = np.count_nonzero(near)
         parts.append((frames[near], np.full(count, person), found[near], age[near]))
     all_frames, persons, all_values, ages = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -252,7 +257,7 @@ class Present(Saved):
             return people
         t, seen = float(people.t[0]), self._seen
         here = people.ids[people.person]
-        absent = (t - seen.t < HELD) & ~np.isin(seen.track_id, here)
+        absent = is_held(t - seen.t) & ~np.isin(seen.track_id, here)
         track_id = np.concatenate([here, seen.track_id[absent]])
         last = np.concatenate([np.full(len(here), t), seen.t[absent]])
         values = np.vstack([people.values, seen.values[absent]])
