@@ -581,7 +581,7 @@ class OnlineAttention(Saved):
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
         was = known.rows(ids)
         t_first = np.where(was >= 0, np.append(known.t_first, t)[was], t)
-        settled = (was >= 0) & (t - t_first >= SETTLING)
+        settled = (was >= 0) & (t - t_first >= SETTLING - TIME_TOLERANCE)
         before = np.where(settled, np.append(known.t, -np.inf)[was], -np.inf)
         head_before = np.where(settled, np.append(known.t_head, -np.inf)[was], -np.inf)
         everybody = self._present.take(people)

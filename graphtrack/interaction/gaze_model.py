@@ -9,6 +9,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 IntArray = np.ndarray
 
@@ -330,7 +331,7 @@ def gaze_over_time(
         before = gap[f] if f > 0 else math.inf
         since += before
         elapsed += gap[f] if f > 0 else 0.0
-        if not both and elapsed < SETTLING:
+        if not both and elapsed < SETTLING - TIME_TOLERANCE:
             before = since = math.inf
         see(own[f], neighbours[f], view[:, :people])
         view[:, people:] = places[f]
