@@ -262,7 +262,8 @@ def streamed(table: pd.DataFrame, *, detections: bool = False) -> Result:
             [row.get(name) for name in ("track_id", "group", "kind", "people", "observed", "status")]
         )
         numbers += [one["radius_90"] for one in row.get("forecast", ())]
-        numbers += [one["probability"] for one in row.get("attention", ())]
+        # Of all targets those above a small probability are listed: their number may change with rounding.
+        numbers.append(max((one["probability"] for one in row.get("attention", ())), default=0.0))
     return Result(np.array(points), np.array(angles), labels, np.array(numbers))
 
 
