@@ -111,7 +111,9 @@ def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeyp
     monkeypatch.setattr(batch, "LARGE", len(table))
     expected = in_memory(path, tmp_path / "expected.parquet", "full")
     smooth_dataset(path, tmp_path / "out.parquet", "full", batch_frames=50)
-    assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
+    found, whole = pd.read_parquet(tmp_path / "out.parquet"), pd.read_parquet(expected)
+    # Which tracks share lanes changes the last bits on some processors.
+    pd.testing.assert_frame_equal(found, whole, rtol=1e-9, atol=1e-9)
     # The rest: not all of them have classes.
     monkeypatch.setattr(batch, "LARGE", len(table) + 1)
     other = in_memory(path, tmp_path / "other.parquet", "full")
