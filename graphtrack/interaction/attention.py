@@ -201,13 +201,13 @@ def _of_one(
 ) -> Attention:
     track = one.track
     position, age = one.at(track.t, online)
-    neighbours, others, fellow = _neighbours(one, position, everybody, online)
+    neighbours, places_of, fellow = _neighbours(one, position, everybody, online)
     gap = track.dt.copy()
     gap[:1] = np.inf
     weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(track))
     probability = gaze_over_time(
         np.column_stack([position, drift(age)]),
-        others,
+        places_of,
         fellow,
         _views(places, position),
         *(weights, means, kappas, _noise(kappas[:, 0]), gap, not online, parameters.to_array()),
@@ -236,7 +236,7 @@ def _neighbours(
     one: _Person, position: FloatArray, everybody: Sequence[_Person], online: bool
 ) -> tuple[list[_Person], FloatArray, np.ndarray]:
     """Return other people who are near at any time, the (n, p, 4) of `see`, and shared groups (n, p)."""
-    t, found, others, fellow = one.track.t, [], [], []
+    t, found, places, fellow = one.track.t, [], [], []
     own = one.group_at(t, online)
     for other in everybody:
         is_away = not len(other.t) or other.t[0] > t[-1] + HELD or other.t[-1] < t[0] - HELD
@@ -247,11 +247,11 @@ def _neighbours(
         away = np.linalg.norm(place - position, axis=1)
         if np.fmin.reduce(away, initial=np.inf) < REACH:
             found.append(other)
-            others.append(np.column_stack([place, drift(age), presence(age)]))
+            places.append(np.column_stack([place, drift(age), presence(age)]))
             fellow.append((own >= 0) & (own == other.group_at(t, online)))
     if not found:
         return found, np.zeros((len(t), 0, 4)), np.zeros((len(t), 0), dtype=bool)
-    return found, np.stack(others, axis=1), np.stack(fellow, axis=1)
+    return found, np.stack(places, axis=1), np.stack(fellow, axis=1)
 
 
 def _noise(kappa: FloatArray) -> FloatArray:
@@ -295,10 +295,10 @@ def rows_near_prior(
     """
     count = 0
     for track, one in zip(sorted(tracks, key=lambda track: track.track_id), found, strict=True):
-        seen = np.isfinite(head_mixture(track)[0]).all(axis=1)
+        known = np.isfinite(head_mixture(track)[0]).all(axis=1)
         away = np.full(len(track), np.inf)
-        if seen.any():
-            _, since, until = interpolated(track.t[seen], track.t[seen, None], track.t, online=online)
+        if known.any():
+            _, since, until = interpolated(track.t[known], track.t[known, None], track.t, online=online)
             away = np.minimum(since, until)
         count += int(np.count_nonzero(np.isfinite(one.probability[:, -1]) & (away > seconds)))
     return count
@@ -606,8 +606,8 @@ class OnlineAttention(Saved):
             *(was, known.first, known.target, known.person, known.elsewhere, parameters),
         )
         t_head = np.where(length > 0.0, t, head_before)
-        seen = t_first, np.full(len(ids), t), t_head
-        kept = _Known(ids, *seen, groups.group, first, target, person, elsewhere)
+        times = t_first, np.full(len(ids), t), t_head
+        kept = _Known(ids, *times, groups.group, first, target, person, elsewhere)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
         memory = max(_FORGOTTEN / self.parameters.switching, HELD)

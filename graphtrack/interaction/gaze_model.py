@@ -386,15 +386,15 @@ def _look_back(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
 
 
 @compiled
-def _near(others: FloatArray, i: int, j: int) -> bool:
-    x, y = others[j, 0] - others[i, 0], others[j, 1] - others[i, 1]
+def _near(everybody: FloatArray, i: int, j: int) -> bool:
+    x, y = everybody[j, 0] - everybody[i, 0], everybody[j, 1] - everybody[i, 1]
     return i != j and x * x + y * y < REACH * REACH
 
 
 @allocating
 def gaze_of_frame(
     ids: IntArray,
-    others: FloatArray,
+    everybody: FloatArray,
     group: IntArray,
     rows: IntArray,
     gap: FloatArray,
@@ -411,7 +411,7 @@ def gaze_of_frame(
 
     Parameters
     ----------
-    ids, others, group : (m,) identity, ascending, (m, 4) as for `see`, and group of all people
+    ids, everybody, group : (m,) identity, ascending, (m, 4) as for `see`, and group of all people
     rows : (n,) of these, the observers
     gap : (n, 2) seconds from each one's frame before, and from the last observed head; infinite without one
     head : (n, 2) direction, rad, and its variance, rad²; NaN direction: unknown
@@ -423,7 +423,7 @@ def gaze_of_frame(
     for i in range(n):
         near = 0
         for j in range(len(ids)):
-            near += _near(others, rows[i], j)
+            near += _near(everybody, rows[i], j)
         first[i + 1] = first[i] + near
     target, person = np.empty(first[-1], dtype=np.int64), np.empty((first[-1], 3))
     elsewhere = np.empty((n, count + WAYS, 3))
@@ -440,11 +440,11 @@ def gaze_of_frame(
         view, belief = all_views[:, :targets], beliefs[:last]
         k = 0
         for j in range(len(ids)):
-            if _near(others, row, j):
-                target[at + k], neighbours[k] = ids[j], others[j]
+            if _near(everybody, row, j):
+                target[at + k], neighbours[k] = ids[j], everybody[j]
                 fellow[k] = group[row] >= 0 and group[row] == group[j]
                 k += 1
-        see(others[row], neighbours[:people], view[:, :people])
+        see(everybody[row], neighbours[:people], view[:, :people])
         view[:, people:] = places[i]
         bearing[:targets], bearing[targets:] = view[BEARING], ways
         spread_of(view, parameters[LOOK_STD], spread)

@@ -584,8 +584,8 @@ def facing_people(frames: int) -> People:
     position, ahead = np.column_stack([x, 0.0 * x]), np.column_stack([0.9 - 1.8 * x, 0.1 + 0.0 * x])
     frame, first = np.arange(frames), np.arange(0, 2 * frames + 1, 2)
     t = frame.astype(float)
-    seen = position, 0.0 * position, ahead, ahead, np.zeros(2 * frames)
-    return People(np.arange(2), frame, t, first, person, *seen)
+    state = position, 0.0 * position, ahead, ahead, np.zeros(2 * frames)
+    return People(np.arange(2), frame, t, first, person, *state)
 
 
 def _rehearse() -> None:

@@ -235,7 +235,7 @@ def with_absent(people: People) -> People:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _LastObserved:
     """Last observation of people."""
 
     track_id: IntArray  # (p,) ascending
@@ -246,24 +246,24 @@ class _Seen:
 class Present(Saved):
     """People of frame after frame, with those who were observed less than `HELD` before."""
 
-    _saved: ClassVar = {"_seen": _Seen}
+    _saved: ClassVar = {"_last": _LastObserved}
 
     def __init__(self) -> None:
-        self._seen = _Seen(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 8)))
+        self._last = _LastObserved(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 8)))
 
     def take(self, people: People) -> People:
         """Take the people of one frame, later than those before, or of none, and add the absent people."""
         if not len(people):
             return people
-        t, seen = float(people.t[0]), self._seen
+        t, known = float(people.t[0]), self._last
         here = people.ids[people.person]
-        absent = is_held(t - seen.t) & ~np.isin(seen.track_id, here)
-        track_id = np.concatenate([here, seen.track_id[absent]])
-        last = np.concatenate([np.full(len(here), t), seen.t[absent]])
-        values = np.vstack([people.values, seen.values[absent]])
+        absent = is_held(t - known.t) & ~np.isin(known.track_id, here)
+        track_id = np.concatenate([here, known.track_id[absent]])
+        last = np.concatenate([np.full(len(here), t), known.t[absent]])
+        values = np.vstack([people.values, known.values[absent]])
         order = np.argsort(track_id)
         track_id, last, values = track_id[order], last[order], values[order]
-        self._seen = _Seen(track_id, last, values)
+        self._last = _LastObserved(track_id, last, values)
         age, rows = t - last, np.arange(len(track_id))
         columns = (*np.split(_moved(values, age, age), 4, axis=1), age)
         return People(track_id, people.frame, people.t, np.array([0, len(rows)]), rows, *columns)

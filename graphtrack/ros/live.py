@@ -292,7 +292,7 @@ class Live:
         found = None
         for held in self._frames.released():
             t = self._seconds(held.stamp)
-            people = self._tracker.update(t, held.observations)
+            people = self._tracker.update(t, [replace(one, t=t) for one in held.observations])
             sure = [1.0 if np.isnan(one.identity_p) else one.identity_p for one in people]
             of_number: _Found = {
                 one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)

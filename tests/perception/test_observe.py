@@ -215,7 +215,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
     looked = frames_looked_at(monkeypatch, MemoryError if where == "observing" else None)
 
-    def full(*rest: object) -> None:
+    def full(*rest: object, **options: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
