@@ -285,7 +285,7 @@ COMMANDS: dict[str, Command] = {
 }
 
 GAZE = {"attention", "attention online", "track -", "track - of detections"}
-"""Commands that report gaze. A gaze at nothing is in one of 24 fixed directions, which do not turn with the ground."""
+"""Commands that report gaze: gaze at nothing has one of 24 directions, which do not turn with the ground."""
 
 _EXPECTED: dict[tuple[str, float], Result] = {}
 

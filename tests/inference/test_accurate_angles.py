@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.geometry.angles import wrap
@@ -46,8 +47,8 @@ def channels_of(model: str) -> tuple[str, ...]:
     return tuple(name for name in ("head", "body") if getattr(gt.Model(model), f"has_{name}"))
 
 
-@pytest.mark.parametrize("rate", [1.0, 10.0, 100.0])
-@pytest.mark.parametrize("model", WITH_ANGLES)
+@pytest.mark.parametrize("rate", others_slow([1.0, 10.0, 100.0], [10.0]))
+@pytest.mark.parametrize("model", others_slow(WITH_ANGLES, ["joint", "full"]))
 @pytest.mark.parametrize("online", [False, True])
 def test_errors_fall_with_the_declared_noise(model, rate, online):
     for name in channels_of(model):
@@ -66,7 +67,7 @@ def test_accurate_angles_with_outliers(std, online):
     check(found, truth, "head", std)
 
 
-@pytest.mark.parametrize("std", STDS)
+@pytest.mark.parametrize("std", others_slow(STDS, [0.01]))
 @pytest.mark.parametrize("model", ["joint", "full"])
 def test_engines_of_gtsam_follow_accurate_angles(model, std):
     track, truth = helmet(std, 10.0, "head", True)

@@ -96,7 +96,7 @@ OTHER_ENGINES = {
     for engine in ("fixed-lag", "isam2")
     for name, case in CASES.items()
 }
-EVERY_TIME = [*CASES, "plain, fixed-lag", "known scene, isam2", "everything, fixed-lag"]
+EVERY_TIME = ["known scene", "everything", "everything, fixed-lag", "known scene, isam2"]
 
 
 def rows(case: Case, *, identified: bool) -> list[dict[str, Any]]:
@@ -206,7 +206,12 @@ def observations(given: list[dict[str, Any]]) -> list[gt.Observation]:
     return found
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name not in ("groups", "attention")])
+@pytest.mark.parametrize(
+    "name",
+    others_slow(
+        [name for name in CASES if name not in ("groups", "attention")], ["known scene", "everything"]
+    ),
+)
 def test_a_tracker(name: str, cwd: Path) -> None:
     case = CASES[name]
     case.write_files(cwd)
@@ -241,7 +246,11 @@ def assert_tracker_continues(
 
 
 @pytest.mark.parametrize(
-    "name", [name for name, case in CASES.items() if not (case.groups or case.attention or case.forecast)]
+    "name",
+    others_slow(
+        [name for name, case in CASES.items() if not (case.groups or case.attention or case.forecast)],
+        ["full", "camera"],
+    ),
 )
 @pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
 def test_a_smoother(name: str, engine: Any, cwd: Path) -> None:
