@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from selection import others_slow
 from walks import rotation
 
 import graphtrack as gt
@@ -297,8 +298,13 @@ def expected(command: str, hz: float) -> Result:
     return _EXPECTED[command, hz]
 
 
-@pytest.mark.parametrize("hz", SECONDS)
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("hz", "command"),
+    others_slow(
+        [(hz, command) for hz in SECONDS for command in COMMANDS],
+        [*((2.5, command) for command in COMMANDS), (10.0, "track"), (10.0, "smooth"), (10.0, "associate")],
+    ),
+)
 @settings(max_examples=1, suppress_health_check=[HealthCheck.too_slow])
 @example(Change(seconds=0.05, frames=-80, jitter=2e-6))
 @example(Change(seconds=UNIX, frames=-35, digits=3))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.geometry.camera import GroundCamera
@@ -243,8 +244,13 @@ def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> N
     assert silent == []
 
 
-@pytest.mark.parametrize("identified", [True, False])
-@pytest.mark.parametrize("model", ["position", "joint"])
+@pytest.mark.parametrize(
+    ("model", "identified"),
+    others_slow(
+        [(model, identified) for model in ("position", "joint") for identified in (True, False)],
+        [("joint", True), ("position", False)],
+    ),
+)
 def test_every_key_of_a_stream_is_used_refused_or_named(model: str, identified: bool) -> None:
     notes: list[str] = []
 

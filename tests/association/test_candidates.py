@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from crossing_people import descriptors_of_people, packed_square, street
 from scipy.optimize import linear_sum_assignment
+from selection import others_slow
 
 from graphtrack.association import moves, offline
 from graphtrack.association.candidates import gains_of_links, grid_of, near_detections
@@ -94,7 +95,7 @@ def crowds() -> dict[str, Detections]:
     }
 
 
-@pytest.mark.parametrize("name", crowds())
+@pytest.mark.parametrize("name", others_slow(crowds(), ["street"]))
 def test_what_is_kept_from_sweep_to_sweep_changes_nobody(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     detections = crowds()[name]
     given = np.arange(len(detections)) % 7

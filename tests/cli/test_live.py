@@ -64,7 +64,11 @@ def track(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("engine", "lag"), [("chain", "2"), ("fixed-lag", "2"), ("isam2", "0.3"), ("isam2", "none")]
+    ("engine", "lag"),
+    others_slow(
+        [("chain", "2"), ("fixed-lag", "2"), ("isam2", "0.3"), ("isam2", "none")],
+        [("chain", "2"), ("isam2", "0.3")],
+    ),
 )
 def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     lines, state = scene(60 if engine == "chain" else 17, people=2), tmp_path / "state"
@@ -80,7 +84,7 @@ def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     assert going_on(said)[1] == len(found)
 
 
-@pytest.mark.parametrize("lag", ["0.3", "none"])
+@pytest.mark.parametrize("lag", others_slow(["0.3", "none"], ["0.3"]))
 def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
     lines, options = scene(13, people=2), ("--engine", "isam2", "--lag", lag, "--model", "full")
     half, state = len(lines) // 2, ("--state", tmp_path / "state")
@@ -344,7 +348,7 @@ def renamed(line, unit):
     return json.dumps(row | {"x": "of the image"}).encode() + b"\n"
 
 
-@pytest.mark.parametrize("unit", STAMPS)
+@pytest.mark.parametrize("unit", others_slow(STAMPS, ["ms"]))
 def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, unit):
     lines, (scale, start) = scene(12), STAMPS[unit]
     code, expected, _ = track(lines)

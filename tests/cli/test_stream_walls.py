@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 from command import Done, run
+from selection import others_slow
 from serving import serving
 
 from graphtrack.geometry.walkable import WalkableArea
@@ -73,7 +74,7 @@ def test_tracked_detections_of_a_stream_stay_inside(area: Path) -> None:
     assert len(ahead) > 1000 and WalkableArea(CORRIDOR.buffer(1e-6)).contains(ahead).all()
 
 
-@pytest.mark.parametrize("identities", [True, False])
+@pytest.mark.parametrize("identities", others_slow([True, False], [True]))
 def test_a_resumed_stream_keeps_its_walls_and_refuses_others(
     area: Path, tmp_path: Path, identities: bool
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.experiments.strangers import (
@@ -21,8 +22,13 @@ from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.tracks.track import Track, TrackSet
 
 
-@pytest.mark.parametrize("online", [False, True], ids=["offline", "online"])
-@pytest.mark.parametrize("evidence", list(EVIDENCE))
+@pytest.mark.parametrize(
+    ("evidence", "online"),
+    others_slow(
+        [(one, online) for one in EVIDENCE for online in (False, True)],
+        [("positions", False), ("positions and heads", True)],
+    ),
+)
 def test_independent_walkers_who_stop_are_seldom_in_a_conversation(evidence: str, online: bool) -> None:
     before, after = [], []
     for seed in range(3):

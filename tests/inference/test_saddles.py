@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.geometry.angles import wrap
@@ -55,7 +56,7 @@ def check(found: gt.Track, track: gt.Track, direction: float, quantum: float, co
         assert abs(wrap(found.body[-1] - direction)) < np.radians(10.0 + 200.0 * quantum)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "full"]))
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("path", [walk, stand_and_walk, out_and_back])
 def test_online_states_follow_an_exact_walk_in_any_direction(model, quantum, path):
@@ -66,7 +67,7 @@ def test_online_states_follow_an_exact_walk_in_any_direction(model, quantum, pat
 
 
 @pytest.mark.parametrize("engine", ["isam2", "fixed-lag"])
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "full"]))
 def test_online_engines_of_gtsam_leave_saddles(model, engine):
     for direction, quantum in ((np.pi, 0.0), (np.pi, 0.05), (1.5 * np.pi, 0.0)):
         track = track_of(along(walk(3.0), direction, quantum))

@@ -13,6 +13,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from selection import others_slow
 
 from graphtrack import machine_code
 from graphtrack.errors import InputError
@@ -205,8 +206,13 @@ def run_with(code: Path, program: Path, **environment: str) -> tuple[int, str, l
     return done.returncode, done.stdout.strip(), done.stderr.splitlines()
 
 
-@pytest.mark.parametrize("ending", [".nbi", ".nbc"])
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize(
+    ("damage", "ending"),
+    others_slow(
+        [(one, ending) for one in DAMAGES for ending in (".nbi", ".nbc")],
+        [("empty", ".nbi"), ("noise", ".nbc")],
+    ),
+)
 def test_damaged_machine_code_is_replaced_with_one_line(kept_code, tmp_path, ending, damage) -> None:
     code, program = tmp_path / "code", kept_code / "program.py"
     shutil.copytree(kept_code / "code", code)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
 from graphtrack.model import GaitParameters, Model, Parameters
@@ -33,7 +34,7 @@ def misaligned(preset: str, fps: float) -> float:
     return float(np.degrees(np.sqrt(np.mean(off**2))))
 
 
-@pytest.mark.parametrize("preset", COUPLED)
+@pytest.mark.parametrize("preset", others_slow(COUPLED, ["joint"]))
 def test_bodies_face_the_motion_alike_at_every_rate(preset: str) -> None:
     # From 10 Hz on a frame is short against the correlation time, and the rate no longer matters.
     found = [misaligned(preset, fps) for fps in (10.0, 20.0, 60.0)]

@@ -12,6 +12,7 @@ import pytest
 from command import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.forecasting import paths
@@ -130,7 +131,7 @@ def test_a_clock_that_goes_back_begins_the_frames_of_groups_again() -> None:
 
 
 @kinds
-@pytest.mark.parametrize("stop", range(18, 27))
+@pytest.mark.parametrize("stop", others_slow(range(18, 27), [19, 20, 21, 22]))
 def test_a_jump_and_its_witness_may_be_in_two_runs(identified: bool, stop: int, tmp_path: Path) -> None:
     rows = [*walkers(10, identified, start=500.0), *walkers(10, identified)]
     whole = flat(each(stream(identified), rows))
@@ -177,7 +178,7 @@ def coming_and_going(seed: int, frames: int, *, streams: bool, step: float = 0.5
 
 
 @kinds
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", others_slow(range(4), [0]))
 def test_forgetting_is_the_same_in_a_resumed_stream(identified: bool, seed: int, tmp_path: Path) -> None:
     rows = coming_and_going(seed, 60, streams=not identified)
     bounds = StreamBounds(forget_after=4.0)
@@ -206,8 +207,13 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-@pytest.mark.parametrize("kind", ["people", "streams", "detections"])
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    others_slow(
+        [(kind, option) for kind in ("people", "streams", "detections") for option in OPTIONS],
+        [("people", "everything"), ("streams", "plain"), ("detections", "everything")],
+    ),
+)
 def test_what_is_kept_is_bounded_while_people_streams_and_time_go_on(
     kind: str, option: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
