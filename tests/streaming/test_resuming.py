@@ -96,7 +96,7 @@ OTHER_ENGINES = {
     for engine in ("fixed-lag", "isam2")
     for name, case in CASES.items()
 }
-EVERY_TIME = ["known scene", "everything", "everything, fixed-lag", "known scene, isam2"]
+EVERY_TIME = ["everything", "known scene, isam2"]
 
 
 def rows(case: Case, *, identified: bool) -> list[dict[str, Any]]:
@@ -147,7 +147,7 @@ def test_the_command(name: str, identified: bool, cwd: Path) -> None:
 
 
 @both_kinds
-@pytest.mark.parametrize("name", others_slow(CASES, ["known scene", "everything"]))
+@pytest.mark.parametrize("name", others_slow(CASES, ["everything"]))
 def test_the_service(name: str, identified: bool, cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = CASES[name]
     case.write_files(cwd)
