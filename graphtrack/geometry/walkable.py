@@ -238,7 +238,8 @@ def _read(path: Path, shapely: Any) -> shapely.Geometry:
             area = shapely.union_all(polygons)
     # Curves are no geometries of Shapely.
     except (shapely.errors.ShapelyError, NotImplementedError, TypeError, ValueError) as error:
-        raise InputError(str(error).splitlines()[0] or "no geometry", expected, path=path) from error
+        found = next(iter(str(error).splitlines()), "") or "no geometry"
+        raise InputError(found, expected, path=path) from error
     if not polygons:
         raise InputError("no polygon", "at least one polygon in which people walk", path=path)
     return area

@@ -356,12 +356,11 @@ def _is_integer(value: object, lowest: int, highest: int) -> bool:
 
 def _names(document: Mapping[str, Any]) -> dict[Any, int]:
     """Return image id → number at the end of its file name; none if a number is missing or repeated."""
-    stems = {
-        key: PurePosixPath(str(one.get("file_name", ""))).stem for key, one in _by_id(document, "images")
-    }
+    images = list(_by_id(document, "images"))
+    stems = {key: PurePosixPath(str(one.get("file_name", ""))).stem for key, one in images}
     found = {key: trailing_number(stem) for key, stem in stems.items()}
     numbers = {key: number for key, number in found.items() if number is not None}
-    return numbers if len(set(numbers.values())) == len(document.get("images") or ()) else {}
+    return numbers if len(set(numbers.values())) == len(images) else {}
 
 
 def _by_id(document: Mapping[str, Any], name: str) -> Iterator[tuple[int | str, Mapping[str, Any]]]:
