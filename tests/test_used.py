@@ -248,7 +248,7 @@ def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> N
     ("model", "identified"),
     others_slow(
         [(model, identified) for model in ("position", "joint") for identified in (True, False)],
-        [("joint", True), ("position", False)],
+        [("joint", True)],
     ),
 )
 def test_every_key_of_a_stream_is_used_refused_or_named(model: str, identified: bool) -> None:

@@ -108,6 +108,7 @@ def test_what_is_kept_from_sweep_to_sweep_changes_nobody(name: str, monkeypatch:
     np.testing.assert_array_equal(mended.identity, repair_detections(detections, given).identity)
 
 
+@pytest.mark.slow
 def test_the_match_is_that_of_the_hungarian_method() -> None:
     rng = np.random.default_rng(0)
     for density in (0.02, 0.1, 0.3, 1.0):

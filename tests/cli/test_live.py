@@ -84,6 +84,7 @@ def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     assert going_on(said)[1] == len(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", others_slow(["0.3", "none"], ["0.3"]))
 def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
     lines, options = scene(13, people=2), ("--engine", "isam2", "--lag", lag, "--model", "full")

@@ -97,6 +97,7 @@ def test_a_resumed_stream_keeps_its_walls_and_refuses_others(
         assert 'a state with walkable = "' in done.stderr
 
 
+@pytest.mark.slow
 def test_the_service_keeps_people_inside_the_area_of_its_scene(area: Path) -> None:
     options = ("--engine", "fixed-lag", "--walkable", str(area))
     with serving(*options) as service:

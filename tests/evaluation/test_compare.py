@@ -113,6 +113,7 @@ def test_everything_is_ready_for_json(comparison: Comparison) -> None:
     assert len(back["per_track"]) == 12 * len(comparison.information)
 
 
+@pytest.mark.slow
 def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(comparison: Comparison) -> None:
     groups = {name: {row["method"] for row in comparison.group(name)} for name in ("online", "offline")}
     online = {"chain", "isam2", "kf", "intentional", "intentional-printed", "particle"}

@@ -113,6 +113,7 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
     assert np.abs(apart(found[-10:], expected[-10:])).max() < 5e-3
 
 
+@pytest.mark.slow
 def test_a_late_observation_far_back_in_a_window_is_followed_to_the_end() -> None:
     """Farther back than steps are watched of a full history; only the oldest have far to go."""
     track, at = walk(200, seed=3, dt=0.02), np.arange(200) == 8
@@ -201,6 +202,7 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
     assert np.abs(difference(found_modes[:, 1], modes[:, 1]))[settled].max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "lag"),
     others_slow([("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)], [("fixed-lag", 1.0)]),

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import graphtrack as gt
 from graphtrack.geometry.angles import difference, mean_absolute_error, unit
@@ -61,6 +62,7 @@ def labels_of(made: Party) -> GroupLabels:
     return GroupLabels("frame", tuple(steps), Path("party"))
 
 
+@pytest.mark.slow
 def test_what_is_learned_faces_as_people_do() -> None:
     made, other = (simulated(np.random.default_rng(seed), people=10, steps=80, fps=0.5) for seed in (1, 2))
     learned = fit_groups(made.tracks, labels_of(made), hold_out=0.0).parameters

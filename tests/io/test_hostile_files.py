@@ -30,6 +30,7 @@ def command(*arguments: object, **options: object) -> subprocess.CompletedProces
     return subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, **options)
 
 
+@pytest.mark.slow
 def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(tmp_path: Path) -> None:
     n = 10**6
     path = tmp_path / "wide.csv"

@@ -24,6 +24,7 @@ def labels_of(made: Party) -> LookLabels:
     return LookLabels(columns["frame"], columns["track_id"], columns["target"], Path("looks.csv"))
 
 
+@pytest.mark.slow
 def test_what_is_learned_is_calibrated_in_a_scene_that_was_not_learned_from() -> None:
     def scene(seed: int) -> Party:
         return party(np.random.default_rng(seed), people=10, steps=200, fps=2.0)

@@ -202,6 +202,7 @@ def precision_and_recall(
     return right / max(found, 1), right / len(street.boxes)
 
 
+@pytest.mark.slow
 def test_people_are_found_and_what_is_taught_helps(
     street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:

@@ -136,6 +136,7 @@ def test_a_window_hides_all_positions_that_follow_and_its_heads_are_seen_from_th
         np.testing.assert_allclose(part.head[begin:], camera.world_angle(pan[begin : len(part)], held))
 
 
+@pytest.mark.slow
 def test_people_of_the_street_are_those_of_its_pictures(data_dir: Path) -> None:
     folder = data_dir / "towncentre"
     if not (folder / "boxes.csv").is_file():

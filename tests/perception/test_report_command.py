@@ -315,6 +315,7 @@ def test_a_folder_of_nothing_is_no_table(tmp_path: Path) -> None:
         gt.read(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_is_learned_is_learned_once(
     arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -354,6 +354,7 @@ def test_the_face_is_where_the_pan_says(around: HeadClip) -> None:
     assert {-1.0, 1.0} <= set(np.sign(np.sin(around.pan[turned])))
 
 
+@pytest.mark.slow
 def test_a_wall_hides_exactly_the_frames_asked_for(hidden: HeadClip) -> None:
     asked = np.zeros(60, bool)
     asked[25:37] = True

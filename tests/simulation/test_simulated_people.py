@@ -76,6 +76,7 @@ def test_modes_have_their_shares_rates_and_offsets() -> None:
     assert np.array_equal(np.unique(modes.strength), np.sort([gait.body_free_strength, gait.body_strength]))
 
 
+@pytest.mark.slow
 def test_people_of_full_have_its_offsets_and_leads() -> None:
     gait = GaitParameters(
         body_aligned=1.0, body_lead=0.5, body_strength=20.0, body_spread=0.01, body_switching=0.0
