@@ -44,6 +44,7 @@ from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.given import notes_on
 from graphtrack.model.observation import observations
+from graphtrack.model.parameters import steady
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
@@ -54,6 +55,7 @@ from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given, Scene
+    from graphtrack.learning.personal import Constants
 
 
 Progress = Callable[[int], None]
@@ -69,6 +71,7 @@ def solve(
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
     walkable: AreaLike | None = None,
+    constants: Constants = "default",
 ) -> list[Solution | Failure]:
     """Smooth every track; a track that fails does not stop the rest.
 
@@ -86,18 +89,38 @@ def solve(
         contradict it; "learn": correct it there, warn, and go on
     walkable : area in which people walk, in metres: a file of GeoJSON or well-known text, or a polygon of
         Shapely or PedPy
+    constants : "default": those of the model; "learn": those of each person, learned from the tracks, with
+        the model "joint" unless another is named; a `Population` or its file: each person's are learned, with
+        that prior in place of what these people have in common
 
     Returns
     -------
     list of Solution or Failure, in the order of the tracks
     """
-    model = Model.named(model)
+    model = _model_for(constants, model)
     solver = engine_of(model, engine)
     given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust)
     for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
     area = None if walkable is None else WalkableArea.of(walkable)
-    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress, walkable=area)
+    return solve_tracks(
+        given,
+        model,
+        solver,
+        jobs=jobs,
+        options=options,
+        progress=progress,
+        walkable=area,
+        constants=constants,
+    )
+
+
+LEARNED_PRESET = "joint"
+"""The preset whose constants are learned where no model is named."""
+
+
+def _model_for(constants: Constants, model: Model | str | Path | None) -> Model:
+    return Model.named(LEARNED_PRESET if model is None and constants != "default" else model)
 
 
 def solve_tracks(
@@ -110,20 +133,36 @@ def solve_tracks(
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
     walkable: WalkableArea | None = None,
+    constants: Constants = "default",
 ) -> list[Solution | Failure]:
     """Smooth tracks with the engine of `engine_of`; groups are found where the model has them.
 
-    ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
+    Parameters
+    ----------
+    n_frames : person-frames of the whole job, if the tracks are a part of it
+    constants : as in `solve`
     """
     tracks = tracks.map(with_position_noise)
     if walkable is not None:
-        plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options)
+        plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options, constants=constants)
         return solve_inside(
             tracks,
             partial(plain, model=model, progress=progress, n_frames=n_frames),
             partial(plain, model=model.with_terms(StaysInside)),
             walkable,
         )
+    if constants != "default":
+        from graphtrack.learning.personal import population_of, solve_learned
+
+        # The learned constants are all of the model: nothing inflates its covariances.
+        model = model.with_parameters(steady(model.parameters))
+        alike = partial(solve_each, model=model, engine=engine, jobs=jobs, options=options, n_frames=n_frames)
+        found, _ = solve_learned(
+            tracks, model, lambda some, own: alike(some, personal=own), population_of(constants)
+        )
+        if progress is not None:
+            progress(tracks.n_frames)
+        return found
     each = partial(
         solve_each,
         model=model,
@@ -152,6 +191,7 @@ class Solving(TypedDict, total=False):
     progress: Progress | None
     trust: Trust
     walkable: AreaLike | None
+    constants: Constants
 
 
 class Smoothing(Solving, FileReading, total=False):
@@ -179,13 +219,14 @@ def smooth(
     fill: bool = False,
     resample: float | None = None,
     walkable: AreaLike | None = None,
+    constants: Constants = "default",
     **reading: Unpack[FileReading],
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
     Parameters
     ----------
-    tracks, model, engine, jobs, options, progress, trust, walkable : as in `solve`
+    tracks, model, engine, jobs, options, progress, trust, walkable, constants : as in `solve`
     fill : also estimate frames between a track's rows that its table leaves out; see `gaps.filled`
     resample : frames a second (Hz) of estimates in place of the tracks' times; see `gaps.with_times_at`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
@@ -200,7 +241,7 @@ def smooth(
     SolveError
         For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
-    model = Model.named(model)
+    model = _model_for(constants, model)
     given = tracks_of(tracks, scene=model.scene, **reading)
     origin = min((float(track.t[0]) for track in given), default=0.0)
     if fill:
@@ -216,6 +257,7 @@ def smooth(
         progress=progress,
         trust=trust,
         walkable=walkable,
+        constants=constants,
     )
     for result in found:
         if isinstance(result, Failure):

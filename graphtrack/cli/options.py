@@ -83,6 +83,14 @@ TrustNoise = Annotated[
         "declared for streams.",
     ),
 ]
+Constants = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<default|learn|FILE>",
+        help="Constants of motion, turning and couplings: default, the model's; learn, each person's, from "
+        "the recording, by default with the model joint; FILE, each person's, with the population of a file.",
+    ),
+]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
 Places = Annotated[
     Path | None,

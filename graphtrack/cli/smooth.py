@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from graphtrack.tracks.track import TrackSet
 
 
+_SHOWN = 10  # Tracks of which learned constants are printed
+
 LARGE = 512 * 2**20
 """Bytes of a Parquet file from which it is streamed by default."""
 
@@ -140,6 +142,7 @@ def smooth(
     model: options.BestModelName = None,
     engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam>")] = "auto",
     trust: options.TrustNoise = None,
+    constants: options.Constants = None,
     fill: bool | None = None,
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
     walkable: options.Walkable = None,
@@ -176,15 +179,18 @@ def smooth(
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
     from graphtrack.model import Model
-    from graphtrack.smoothing import solve_tracks
+    from graphtrack.smoothing import LEARNED_PRESET, solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
+    if model is None and constants not in (None, "default"):
+        model = LEARNED_PRESET
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--trust": trust not in (None, "declared")}
+        unused |= {"--constants": constants not in (None, "default")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
         unused |= {options.option_name(name): value for name, value in given if name not in streamed}
@@ -214,7 +220,15 @@ def smooth(
     make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance, walkable=area)
+        found = solve_tracks(
+            observed,
+            chosen,
+            solver,
+            jobs=jobs,
+            progress=advance,
+            walkable=area,
+            constants=constants or "default",
+        )
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
@@ -227,6 +241,9 @@ def smooth(
         f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
         f"{len(good) - len(unconverged)} converged"
     )
+    for result in good[:_SHOWN]:
+        if result.constants is not None:
+            emit(f"  track {result.track.track_id}: {result.constants.described()}")
     for result in unconverged:
         emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
     if report is not None and good:

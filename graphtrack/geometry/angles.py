@@ -64,6 +64,13 @@ def von_mises_log_density(angle: ArrayLike, mean: ArrayLike, concentration: Arra
     return concentration * (np.cos(deviation) - 1.0) - np.log(2.0 * np.pi * special.i0e(concentration))
 
 
+def log_blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """log ∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ = log I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂))."""
+    resultant = np.abs(first + second * np.exp(1j * apart))
+    scaled = special.i0e(resultant) / (2.0 * math.pi * special.i0e(first) * special.i0e(second))
+    return np.asarray(np.log(scaled) + (resultant - first - second))
+
+
 def mixture_log_density(
     angle: FloatArray, means: FloatArray, weights: FloatArray, kappa: FloatArray | float, uniform: float
 ) -> FloatArray:

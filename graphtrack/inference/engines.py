@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -106,6 +106,32 @@ class SolverOptions:
                 raise InputError(f"{name} = {value!r}", "a finite number that is not negative")
 
 
+@dataclass(frozen=True)
+class PersonalConstants:
+    """The constants of a person.
+
+    Attributes
+    ----------
+    acceleration_density : q, m²/s³
+    body_diffusion, head_diffusion : rad²/s
+    coupling : probability of each way in which orientations follow the motion, by its name
+    """
+
+    acceleration_density: float
+    body_diffusion: float
+    head_diffusion: float
+    coupling: Mapping[str, float]
+
+    def described(self) -> str:
+        """Return the constants in units that a reader knows."""
+        turns = [math.degrees(math.sqrt(one)) for one in (self.body_diffusion, self.head_diffusion)]
+        likely = max(self.coupling, key=lambda name: self.coupling[name])
+        return (
+            f"q = {self.acceleration_density:.2g} m²/s³, body turns {turns[0]:.0f}°/√s, "
+            f"head turns {turns[1]:.0f}°/√s, {likely} ({100.0 * self.coupling[likely]:.0f} %)"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The smoothed solution of one track.
@@ -117,6 +143,7 @@ class Solution:
     iterations : steps taken
     converged : True if a tolerance was met
     engine : "chain" or "gtsam"
+    constants : those of the person, if they were learned
     """
 
     track: Track
@@ -125,6 +152,7 @@ class Solution:
     iterations: int
     converged: bool
     engine: OfflineEngine
+    constants: PersonalConstants | None = None
 
     def __repr__(self) -> str:
         parts = [f"track {self.track.track_id}", counted(len(self.track), "frame"), *self._outcome().values()]
@@ -139,6 +167,7 @@ class Solution:
             "steps": counted(self.iterations, "step"),
             "end": "converged" if self.converged else "not converged",
             "engine": self.engine,
+            **({} if self.constants is None else {"constants": self.constants.described()}),
         }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import NO_POSITION, InputError, SolveError
-from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import fit_lanes, solve_packed
 from graphtrack.inference.chain.covariance import calibration_of
@@ -51,18 +51,23 @@ def solve_each(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
+    personal: Personal | None = None,
 ) -> list[Solution | Failure]:
     """Smooth every track separately with the engine that `engine_of` has chosen for the model.
 
     Rows of one time (`same_time.SAME_TIME`) have one estimate, of all their observations.
 
-    ``n_frames``: person-frames of the whole job, if the tracks are a part of it.
+    Parameters
+    ----------
+    n_frames : person-frames of the whole job, if the tracks are a part of it
+    personal : parameters by name, as ``group.key``, with a value (m,) for each track in place of the model's
     """
     if jobs is not None:
         check_count("jobs", jobs)
     rows: dict[int, NDArray[np.int64]] = {}  # number of a track → the frame of each of its rows
     refused: dict[int, Failure] = {}
     given: list[Track] = []
+    places: list[int] = []
     for m, track in enumerate(tracks):
         try:
             found = merged_rows(track, model.parameters.likelihood, tracks.camera)
@@ -72,8 +77,11 @@ def solve_each(
         if found is not None:
             track, rows[m] = found
         given.append(track)
+        places.append(m)
     options = SolverOptions() if options is None else options
-    solved = iter(_solve_frames(tracks.with_tracks(given), model, engine, jobs, options, progress, n_frames))
+    frames = tracks.with_tracks(given)
+    own = _of_some(personal, places)
+    solved = iter(_solve_frames(frames, model, engine, jobs, options, progress, n_frames, own))
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         one = refused[m] if m in refused else next(solved)
@@ -91,19 +99,38 @@ def _solve_frames(
     options: SolverOptions,
     progress: Callable[[int], None] | None,
     n_frames: int | None,
+    personal: Personal,
 ) -> list[Solution | Failure]:
     if not len(tracks):
         return []
     in_lanes = fit_lanes(tracks.tracks, model, n_frames)
     make_solver_ready(model, engine, tracks.camera, in_lanes)
     if engine == "chain":
-        return _solve_batches(tracks, in_lanes, model, jobs, options, progress)
-    attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
+        return _solve_batches(tracks, in_lanes, model, jobs, options, progress, personal)
+    attempt = partial(_attempt_graph, camera=tracks.camera, options=options)
+    models = [_with_own(model, personal, m) for m in range(len(tracks))]
     if jobs is None or jobs == 1 or len(tracks) < 2:
-        return _collect(tracks, map(attempt, tracks), progress)
+        return _collect(tracks, map(attempt, tracks, models), progress)
     with ProcessPoolExecutor(jobs) as pool:
         chunk = max(1, len(tracks) // (8 * jobs))
-        return _collect(tracks, pool.map(attempt, tracks, chunksize=chunk), progress)
+        return _collect(tracks, pool.map(attempt, tracks, models, chunksize=chunk), progress)
+
+
+Personal = Mapping[str, FloatArray]
+"""Parameters by name, as ``group.key``, with a value (m,) for each track."""
+
+
+def _of_some(personal: Personal | None, places: Sequence[int]) -> Personal:
+    """Return the values of some tracks."""
+    return {} if personal is None else {name: values[list(places)] for name, values in personal.items()}
+
+
+def _with_own(model: Model, personal: Personal, place: int) -> Model:
+    """Return the model with the parameters of a track."""
+    if not personal:
+        return model
+    values = {name: float(values[place]) for name, values in personal.items()}
+    return model.with_parameters(model.parameters.with_values(values))
 
 
 def smooth_track(
@@ -134,6 +161,7 @@ def _solve_batches(
     jobs: int | None,
     options: SolverOptions,
     progress: Callable[[int], None] | None,
+    personal: Personal,
 ) -> list[Solution | Failure]:
     found: dict[int, Solution | Failure] = {}
     # The kernels release the interpreter's lock: while they run, the next batch is packed.
@@ -144,8 +172,8 @@ def _solve_batches(
         batches = [(which, way) for way in (True, False) for which in _batches(tracks, in_lanes, way, size)]
 
         def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
-            given = [tracks.tracks[m] for m in batch[0]]
-            return _solve_chains(given, model, tracks.camera, options, in_lanes=batch[1])
+            given, own = [tracks.tracks[m] for m in batch[0]], _of_some(personal, batch[0])
+            return _solve_chains(given, model, tracks.camera, options, own, in_lanes=batch[1])
 
         for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
             found |= zip(which, solved, strict=True)
@@ -176,9 +204,10 @@ def _solve_chains(
     model: Model,
     camera: GroundCamera | None,
     options: SolverOptions,
+    personal: Personal,
     in_lanes: bool = False,
 ) -> list[Solution | Failure]:
-    packed = pack_to_solve(tracks, model, camera)
+    packed = pack_to_solve(tracks, model, camera, personal)
     found = solve_packed(
         packed,
         model,
@@ -216,7 +245,7 @@ def _reach(packed: PackedTracks, model: Model) -> float:
 
 
 def _attempt_graph(
-    track: Track, model: Model, camera: GroundCamera | None, options: SolverOptions
+    track: Track, model: Model, *, camera: GroundCamera | None, options: SolverOptions
 ) -> Solution | Failure:
     try:
         return smooth_graph(track, model, camera, options)

@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_centres,
+    class_kappa,
+    log_blurred,
+    von_mises_log_density,
+)
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
@@ -226,13 +232,6 @@ def _or_any(log_density: FloatArray, outliers: float) -> FloatArray:
     with np.errstate(divide="ignore"):  # without outliers
         anywhere = np.log(outliers / (2.0 * math.pi))
     return np.logaddexp(math.log1p(-outliers) + log_density, anywhere)
-
-
-def log_blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """log ∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ = log I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂))."""
-    resultant = np.abs(first + second * np.exp(1j * apart))
-    scaled = special.i0e(resultant) / (2.0 * math.pi * special.i0e(first) * special.i0e(second))
-    return np.asarray(np.log(scaled) + (resultant - first - second))
 
 
 @allocating

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -30,6 +30,7 @@ class PackedTracks:
     records : (N,) one record for each frame
     shared : (1,) fields shared by all frames
     body_heights, head_heights : (N, classes + 1) class likelihoods and, last, the outliers' part
+    personal : parameters of the model by name, as ``group.key``, with a value (m,) for each track
     """
 
     tracks: Sequence[Track]
@@ -39,14 +40,22 @@ class PackedTracks:
     shared: NDArray[np.void]
     body_heights: FloatArray = field(default_factory=lambda: np.zeros((0, BODY_CLASSES + 1)))
     head_heights: FloatArray = field(default_factory=lambda: np.zeros((0, HEAD_CLASSES + 1)))
+    personal: Mapping[str, FloatArray] = field(default_factory=dict)
     _directions: dict[str, FloatArray | None] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, tracks: Sequence[Track], camera: GroundCamera | None, types: RecordTypes) -> PackedTracks:
+    def of(
+        cls,
+        tracks: Sequence[Track],
+        camera: GroundCamera | None,
+        types: RecordTypes,
+        personal: Mapping[str, FloatArray] | None = None,
+    ) -> PackedTracks:
         """Tracks end to end, with records that are zero but for their ``dt``."""
         offsets = np.concatenate([[0], np.cumsum([len(track) for track in tracks])])
         packed = cls(tracks, camera, offsets, np.zeros(offsets[-1], types.frame), np.zeros(1, types.shared))
         packed.records["dt"] = packed.dt
+        packed.personal = {} if personal is None else personal
         return packed
 
     @classmethod
@@ -71,6 +80,11 @@ class PackedTracks:
             for track, value in zip(self.tracks, values, strict=True)
         ]
         return np.concatenate(parts)
+
+    def parameter(self, name: str, value: float) -> FloatArray | float:
+        """A parameter of each frame (N,), where tracks have their own, else the model's ``value``."""
+        own = self.personal.get(name)
+        return value if own is None else np.repeat(own, np.diff(self.offsets))
 
     def directions(self, name: str) -> FloatArray | None:
         """Unit vectors (N, 2) along the observed directions of body or head, NaN where unobserved; cached."""

@@ -11,10 +11,10 @@ from simulated import BRISK, TRUE, unknown
 from walks import walk
 
 from graphtrack.baselines.kalman import smooth_states
-from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
+from graphtrack.geometry.angles import log_blurred, unit, von_mises_log_density, wrap
 from graphtrack.learning import fit
 from graphtrack.learning.fit import free_parameters, with_values
-from graphtrack.learning.optimise import FOLDS, Objective, Solver, log_blurred, withheld
+from graphtrack.learning.optimise import FOLDS, Objective, Solver, withheld
 from graphtrack.model import CouplingParameters, GaitParameters, Model
 from graphtrack.model.parameters import scale_of, steady
 from graphtrack.simulation.degrade import add_noise

@@ -7,7 +7,7 @@ Motion and positions in metres are solved exactly in one pass. Both axes share o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -289,19 +289,33 @@ CREEPING = 0.1
 """Least m/s at which a direction of travel replaces an orientation, whatever the threshold."""
 
 
-def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
-    """Tracks end to end, with the records that the model's compiled terms fill in."""
-    return filled(PackedTracks.of(tracks, camera, program_of(model).types), model.compiled_terms)
+def pack(
+    tracks: Sequence[Track],
+    model: Model,
+    camera: GroundCamera | None = None,
+    personal: Mapping[str, FloatArray] | None = None,
+) -> PackedTracks:
+    """Tracks end to end, with the records that the model's compiled terms fill in.
+
+    ``personal``: as in `PackedTracks`, in place of the model's parameters
+    """
+    packed = PackedTracks.of(tracks, camera, program_of(model).types, personal)
+    return filled(packed, model.compiled_terms)
 
 
-def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+def pack_to_solve(
+    tracks: Sequence[Track],
+    model: Model,
+    camera: GroundCamera | None = None,
+    personal: Mapping[str, FloatArray] | None = None,
+) -> PackedTracks:
     """The same; for a linear model, with a fourth of the memory."""
     terms = model.terms  # without the anchors of first orientations
     if camera is None and not (model.has_body or model.has_head):
-        packed = filled(PackedTracks.of(tracks, camera, types_of(terms)), terms)
+        packed = filled(PackedTracks.of(tracks, camera, types_of(terms), personal), terms)
         if model.is_linear(packed):
             return packed
-    return pack(tracks, model, camera)
+    return pack(tracks, model, camera, personal)
 
 
 def problem_of(packed: PackedTracks) -> Problem:

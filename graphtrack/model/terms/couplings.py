@@ -162,7 +162,8 @@ class BodyFollowsMotion(Term):
     def pack(self, packed: PackedTracks) -> None:
         """κ₁ with the frames' weights, and τ."""
         coupling = self.parameters.coupling
-        packed.records["motion_body_kappa"] = coupling.motion_body_kappa * coupling.weights(packed.dt)
+        kappa = packed.parameter("coupling.motion_body_kappa", coupling.motion_body_kappa)
+        packed.records["motion_body_kappa"] = kappa * coupling.weights(packed.dt)
         packed.records["motion_body_cos"] = 1.0
         packed.shared["speed_threshold"] = coupling.speed_threshold
 
@@ -230,7 +231,8 @@ class HeadFollowsBody(Term):
     def pack(self, packed: PackedTracks) -> None:
         """κ₂ with the frames' weights."""
         coupling = self.parameters.coupling
-        packed.records["head_body_kappa"] = coupling.head_body_kappa * coupling.weights(packed.dt)
+        kappa = packed.parameter("coupling.head_body_kappa", coupling.head_body_kappa)
+        packed.records["head_body_kappa"] = kappa * coupling.weights(packed.dt)
         packed.records["head_body_cos"] = 1.0
 
 

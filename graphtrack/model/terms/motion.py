@@ -92,6 +92,8 @@ LARGEST_ROUNDING = 1e-3
 
 _EPSILON = float(np.finfo(float).eps)
 
+_DENSITY = "motion.acceleration_density"
+
 
 def rounding(dt: Any, motion_information: Any, variance: Any) -> Any:
     """Ratio of the rounding of a motion's information to that of a position's estimate.
@@ -168,7 +170,7 @@ class Motion(Term):
     def pack(self, packed: PackedTracks) -> None:
         """1/q between frames, and the prior on the first velocity."""
         motion = self.parameters.motion
-        information = 1.0 / motion.acceleration_density
+        information = 1.0 / packed.parameter(_DENSITY, motion.acceleration_density)
         packed.records["motion_information"] = np.where(packed.is_first, 0.0, information)
         packed.records["velocity_information"][packed.first_position] = motion.initial_speed_std**-2
 
@@ -426,7 +428,8 @@ class IntentionalMotion(Motion):
         records["velocity_information"] = np.where(packed.is_first, motion.initial_speed_std**-2, 0.0)
         dt, rate = packed.dt[~packed.is_first], rates[~packed.is_first]
         moments = steered_step(dt, rate)
-        scale = motion.acceleration_density * (moments.place * moments.spread - moments.cross**2)
+        density = packed.parameter(_DENSITY, motion.acceleration_density) * np.ones(len(rates))
+        scale = density[~packed.is_first] * (moments.place * moments.spread - moments.cross**2)
         for name, values in (
             ("steer_gain", -np.expm1(-rate * dt)),
             ("steer_reach", moments.reach),

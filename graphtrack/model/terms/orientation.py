@@ -99,7 +99,7 @@ class _OrientationDynamics(Term):
 
     def pack(self, packed: PackedTracks) -> None:
         """κ between frames."""
-        variance = self._diffusion * packed.dt
+        variance = packed.parameter(f"orientation.{self.name}_diffusion", self._diffusion) * packed.dt
         kappa = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
         packed.records[f"{self.name}_turn_kappa"] = kappa
 

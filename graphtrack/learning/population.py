@@ -1,0 +1,158 @@
+"""The population prior: shares of the values of each constant among the people of a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.source import read_toml
+from graphtrack.packages import special
+
+DENSITIES = np.geomspace(0.01, 10.0, 13)
+"""Values of q, the spectral density of white-noise acceleration, m²/s³."""
+
+DIFFUSIONS = np.radians(np.geomspace(2.5, 160.0, 13)) ** 2
+"""Values of the rotational diffusion of body and head, rad²/s."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A way in which orientations follow the motion.
+
+    Attributes
+    ----------
+    name : in words
+    motion_body, head_body : multiples of the model's κ₁ and κ₂; 0: free
+    """
+
+    name: str
+    motion_body: float
+    head_body: float
+
+
+COUPLINGS = (
+    Coupling("free", 0.0, 0.0),
+    Coupling("head follows body", 0.0, 1.0),
+    Coupling("body follows path", 1.0, 0.0),
+    Coupling("body follows path, head follows body", 1.0, 1.0),
+)
+
+
+def log_normal(values: FloatArray, centre: float, width: float) -> tuple[float, ...]:
+    """Return shares that are normal in the logarithm of the values."""
+    found = np.exp(-0.5 * (np.log(values / centre) / width) ** 2)
+    return tuple((found / found.sum()).tolist())
+
+
+@dataclass(frozen=True)
+class Population:
+    """Shares of people for whom each value of a constant holds; the default is a broad prior.
+
+    Attributes
+    ----------
+    acceleration_density : of `DENSITIES`
+    body_diffusion, head_diffusion : of `DIFFUSIONS`
+    coupling : of `COUPLINGS`
+    people : people that the shares count for, when those of a recording are learned
+    """
+
+    acceleration_density: tuple[float, ...] = log_normal(DENSITIES, 0.3, 1.5)
+    body_diffusion: tuple[float, ...] = log_normal(DIFFUSIONS, math.radians(30.0) ** 2, 1.5)
+    head_diffusion: tuple[float, ...] = log_normal(DIFFUSIONS, math.radians(30.0) ** 2, 1.5)
+    coupling: tuple[float, ...] = (0.1, 0.1, 0.1, 0.7)
+    people: float = 2.0
+
+    def __post_init__(self) -> None:
+        sizes = {"acceleration_density": len(DENSITIES), "coupling": len(COUPLINGS)}
+        for name, shares in asdict(self).items():
+            if name == "people":
+                continue
+            size = sizes.get(name, len(DIFFUSIONS))
+            numbers = [one for one in shares if isinstance(one, float) and 0.0 < one <= 1.0]
+            if (
+                len(shares) != size
+                or len(numbers) != size
+                or not math.isclose(sum(numbers), 1.0, abs_tol=1e-6)
+            ):
+                raise InputError(f"{name} = {shares!r}"[:80], f"{size} positive shares with the sum 1")
+        if not (isinstance(self.people, float) and 0.0 <= self.people < math.inf):
+            raise InputError(f"people = {self.people!r}", "a number that is not negative")
+
+    def save(self, path: str | Path) -> None:
+        """Write a file (TOML), whole or not at all."""
+        with atomic_path(path) as temporary:
+            content = {
+                name: list(value) if isinstance(value, tuple) else value
+                for name, value in asdict(self).items()
+            }
+            Path(temporary).write_text(tomli_w.dumps(content), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Population:
+        """Read a file of `save`; InputError names the file and the key."""
+        content = read_toml(path, "a file of constants")
+        try:
+            return cls.from_dict(content)
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=path) from error
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Population:
+        """Return the population of the contents of a file; InputError for what they do not fit."""
+        known = set(cls.__dataclass_fields__)
+        for name, value in content.items():
+            if name not in known:
+                raise InputError(f"the unknown key {name!r}", f"one of {', '.join(sorted(known))}")
+            if name != "people" and not isinstance(value, list):
+                raise InputError(f"{name} = {value!r}"[:80], "a list of shares")
+        values: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in content.items()
+        }
+        return cls(**values)
+
+
+ROUNDS = 50
+"""Rounds of expectation maximisation; the shares change by less than 1 % after some twenty."""
+
+_SPREAD = 0.6
+"""Width over which the shares of neighbouring values are smoothed, in the logarithm: about one value."""
+
+
+def learned(
+    evidence: FloatArray, start: tuple[float, ...], people: float, values: FloatArray | None
+) -> FloatArray:
+    """Return the shares (k,) of a population, by expectation maximisation from the evidence of each person.
+
+    The result does not depend on the order of the people.
+
+    Parameters
+    ----------
+    evidence : (m, k) log evidence of each value for each person; equal values say nothing
+    start : (k,) the prior, which counts for so many ``people``
+    values : (k,) of the constant, over whose logarithm shares are smooth; None: they have no order
+    """
+    ordered, prior = evidence[np.lexsort(evidence.T)], np.array(start)
+    blur = None
+    if values is not None:
+        logs = np.log(values)
+        blur = np.exp(-0.5 * ((logs[:, None] - logs) / _SPREAD) ** 2)
+        blur /= blur.sum(axis=1, keepdims=True)
+    for _ in range(ROUNDS if len(evidence) else 0):
+        prior = posterior(ordered, prior).sum(axis=0) + people * np.array(start)
+        prior = prior if blur is None else prior @ blur
+        prior = prior / prior.sum()
+    return prior
+
+
+def posterior(evidence: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return the probabilities (m, k) of values by their log evidence (m, k) and prior (k,)."""
+    total = evidence + np.log(prior)
+    return np.asarray(np.exp(total - special.logsumexp(total, axis=1, keepdims=True)))
