@@ -11,6 +11,7 @@ the couplings.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
 from graphtrack.inference.engines import Failure, PersonalConstants, Solution
+from graphtrack.kernels.compilation import make_ready, processors
 from graphtrack.kernels.layout import BODY, HEAD, N
-from graphtrack.learning.innovations import motion_evidence, turning_evidence
+from graphtrack.learning.innovations import REHEARSAL, motion_evidence, turning_evidence
 from graphtrack.learning.population import (
     COUPLINGS,
     DENSITIES,
@@ -37,9 +39,9 @@ from graphtrack.model import Model
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.tracks.track import Track, TrackSet
 
-JUDGED = 60_000
+JUDGED = 20_000
 """Person-frames on which couplings are judged, shared by the people; each has `FEWEST_JUDGED` in any case."""
-FEWEST_JUDGED = 60
+FEWEST_JUDGED = 25
 
 _NEGLIGIBLE = 0.01
 """Probability of a coupling below which it is left out of a person's estimate."""
@@ -88,6 +90,7 @@ def solve_learned(
     check_learnable(model)
     if not len(tracks):
         return [], Population() if population is None else population
+    make_ready("the learned constants", REHEARSAL)
     motion, shares = _motion(tracks.tracks, model, population)
     alternatives = _alternatives(model)
     if len(alternatives) == 1:
@@ -134,13 +137,16 @@ def _motion(
 ) -> tuple[dict[str, FloatArray], Population]:
     """Return the posterior means (m,) of the constants of motion and turning, and the population's shares."""
     parameters, start = model.parameters, Population() if population is None else population
-    evidence = {"acceleration_density": (motion_evidence(tracks, parameters, DENSITIES), DENSITIES)}
-    for name in ("body", "head"):
-        found = turning_evidence(tracks, name, parameters, DIFFUSIONS)
-        evidence[f"{name}_diffusion"] = found, DIFFUSIONS
+    with ThreadPoolExecutor(processors()) as pool:
+        jobs = {
+            "acceleration_density": pool.submit(motion_evidence, tracks, parameters, DENSITIES),
+            "body_diffusion": pool.submit(turning_evidence, tracks, "body", parameters, DIFFUSIONS),
+            "head_diffusion": pool.submit(turning_evidence, tracks, "head", parameters, DIFFUSIONS),
+        }
     values: dict[str, FloatArray] = {}
     shares: dict[str, Any] = {}
-    for name, (own, grid) in evidence.items():
+    for name, job in jobs.items():
+        own, grid = job.result(), DENSITIES if name == "acceleration_density" else DIFFUSIONS
         prior = np.array(getattr(start, name))
         if population is None:
             prior = learned(own, getattr(start, name), start.people, grid)
@@ -185,7 +191,7 @@ def _judged(tracks: TrackSet) -> TrackSet:
         placed = np.flatnonzero(np.isfinite(track.position).all(axis=1))
         if len(placed) and not ((placed >= begin) & (placed < begin + most)).any():
             begin = max(0, int(placed[np.argmin(np.abs(placed - begin))]) - most // 2)
-        return track[np.arange(begin, min(begin + most, len(track)))]
+        return track[begin : begin + most]
 
     return tracks.map(middle)
 

@@ -1,0 +1,265 @@
+"""Constants of each person: evidence against exact densities, and what must not change a result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command import ran, run
+from scipy import stats
+from walks import rotation
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import unit, wrap
+from graphtrack.learning.innovations import motion_evidence, observed_direction, turning_evidence
+from graphtrack.learning.personal import averaged, solve_learned
+from graphtrack.learning.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
+from graphtrack.learning.prediction import leave_one_out
+from graphtrack.model.parameters import Parameters, steady
+from graphtrack.tracks.track import Track, TrackSet
+
+
+def walker(
+    seed: int, *, n: int = 60, hz: float = 10.0, turn: float = 0.2, aside: float = 0.0, track_id: int = 0
+) -> Track:
+    """Somebody who walks and turns (rad/√s), the body ``aside`` of the path, observed with noise."""
+    rng = np.random.default_rng(seed)
+    course = np.cumsum(turn * rng.normal(0.0, np.sqrt(1.0 / hz), n))
+    path = np.cumsum(1.2 / hz * unit(course), axis=0)
+    body = wrap(course + aside)
+    position = path + rng.normal(0.0, 0.1, (n, 2))
+    position[rng.random(n) < 0.15] = np.nan
+    return Track(
+        track_id,
+        np.arange(n),
+        np.arange(n) / hz,
+        position,
+        position_std=np.full(n, 0.1),
+        body=wrap(body + rng.normal(0.0, 0.5, n)),
+        body_kappa=np.full(n, 4.0),
+        head=wrap(body + rng.normal(0.0, 0.35, n)),
+        head_kappa=np.full(n, 8.0),
+        true_position=path,
+        true_body=body,
+        true_head=body,
+    )
+
+
+def mixed(count: int = 12) -> TrackSet:
+    """People who face where they go, and as many who walk sideways and turn a lot."""
+    return TrackSet(
+        tuple(
+            walker(k, turn=1.0 * (k % 2), aside=1.4 * (k % 2), track_id=k, n=60 + 7 * (k % 3))
+            for k in range(count)
+        )
+    )
+
+
+def body_error(found: TrackSet, truth: TrackSet) -> float:
+    pairs = zip(found, truth, strict=True)
+    return float(np.degrees(np.mean([np.abs(wrap(one.body - true.true_body)).mean() for one, true in pairs])))
+
+
+# -- evidence ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("density", [0.01, 0.3, 10.0])
+def test_evidence_of_motion_is_the_exact_density_of_the_positions(density: float) -> None:
+    track, parameters = walker(1, n=25), Parameters()
+    placed = np.isfinite(track.position).all(axis=1)
+    t, position = track.t[placed] - track.t[placed][0], track.position[placed]
+    low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    covariance = 0.01 + parameters.motion.initial_speed_std**2 * np.outer(t, t)
+    covariance += density * low**2 * (3.0 * high - low) / 6.0 + 0.01 * np.eye(len(t))
+    expected = sum(
+        stats.multivariate_normal(np.full(len(t) - 1, position[0, axis]), covariance[1:, 1:]).logpdf(
+            position[1:, axis]
+        )
+        for axis in range(2)
+    )
+    found = motion_evidence([track], parameters, np.array([density]))
+    assert found[0, 0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("diffusion", [0.003, 0.1, 1.0])
+@pytest.mark.parametrize("kappa", [3.0, 30.0])
+def test_evidence_of_turning_is_near_that_of_a_filter_on_a_grid(diffusion: float, kappa: float) -> None:
+    track = replace(walker(2, n=40), head_kappa=np.full(40, kappa))
+    assert track.head is not None
+    circle = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    step = circle[1] - circle[0]
+    blur = np.exp(-0.5 * wrap(circle[:, None] - circle) ** 2 / (0.1 * diffusion))
+    blur /= blur.sum(axis=0)
+    density, expected = np.full(len(circle), 0.5 / np.pi), 0.0
+    for k, angle in enumerate(track.head):
+        density = blur @ density if k else density
+        joint = density * stats.vonmises(kappa, loc=angle).pdf(circle)
+        expected += np.log(joint.sum() * step) if k else 0.0
+        density = joint / (joint.sum() * step)
+    found = turning_evidence([track], "head", Parameters(), np.array([diffusion]))
+    assert found[0, 0] == pytest.approx(expected, abs=0.02 * len(track.head))
+
+
+def test_classes_count_as_the_angle_of_their_mean() -> None:
+    classes = np.zeros((3, 8))
+    classes[0, 2] = 1.0
+    classes[1, [1, 3]] = 0.5
+    classes[2] = np.nan
+    track = replace(walker(3, n=3), body=None, body_kappa=None, body_likelihood=classes)
+    angle, kappa = observed_direction(track, "body", Parameters())
+    np.testing.assert_allclose(angle[:2], np.pi / 2.0, atol=1e-12)
+    assert kappa[0] > kappa[1] > 0.0 and np.isnan(angle[2]) and kappa[2] == 0.0
+
+
+@pytest.mark.parametrize("name", ["position", "separate"])
+def test_leave_one_out_is_what_the_other_observations_predict(name: str) -> None:
+    track = walker(4, n=30)
+    model = gt.Model(name, steady(gt.Model(name).parameters))
+    found = leave_one_out([track], [gt.smooth(track, model)], model.parameters)
+    expected = 0.0
+    for k in np.flatnonzero(np.isfinite(track.position[:, 0])).tolist():
+        hidden = track.position.copy()
+        hidden[k] = np.nan
+        other = gt.smooth(replace(track, position=hidden), model)
+        assert other.covariance is not None
+        spread = other.covariance[k, :2, :2] + 0.01 * np.eye(2)
+        expected += stats.multivariate_normal(other.position[k], spread).logpdf(track.position[k])
+    if name == "position":
+        assert found[0] == pytest.approx(expected, rel=1e-4)
+        return
+    for channel, kappa in (("body", 4.0), ("head", 8.0)):
+        for k in range(len(track)):
+            values = getattr(track, channel).copy()
+            angle, values[k] = values[k], np.nan
+            other = gt.smooth(replace(track, **{channel: values}), model)
+            assert other.covariance is not None
+            variance = other.covariance[k, 4 + (channel == "head"), 4 + (channel == "head")]
+            away = wrap(angle - getattr(other, channel)[k])
+            expected += stats.norm.logpdf(away, scale=np.sqrt(variance + 1.0 / kappa))
+    assert found[0] == pytest.approx(expected, abs=3.0)
+
+
+# -- the population ------------------------------------------------------------------------------------------
+
+
+def test_shares_do_not_depend_on_the_order_of_people() -> None:
+    rng = np.random.default_rng(0)
+    evidence = rng.normal(0.0, 3.0, (40, 4))
+    start = Population().coupling
+    found = learned(evidence, start, 2.0, None)
+    assert (learned(evidence[rng.permutation(40)], start, 2.0, None) == found).all()
+
+
+def test_shares_tend_to_those_of_the_people_and_without_people_are_the_prior() -> None:
+    sure, start = np.log(np.eye(4)[[0] * 300 + [3] * 100] + 1e-9), Population().coupling
+    np.testing.assert_allclose(learned(sure, start, 2.0, None)[[0, 3]], [0.75, 0.25], atol=0.01)
+    np.testing.assert_allclose(learned(np.zeros((0, 4)), start, 2.0, None), start)
+
+
+def test_one_person_leans_on_the_prior_and_evidence_that_says_nothing_changes_nothing() -> None:
+    start = np.array(Population().body_diffusion)
+    np.testing.assert_allclose(posterior(np.full((1, len(DIFFUSIONS)), -7.0), start)[0], start)
+
+
+def test_a_population_is_read_as_it_was_written_and_others_are_refused(tmp_path) -> None:
+    path = tmp_path / "people.toml"
+    written = Population(coupling=(0.25, 0.25, 0.25, 0.25), people=7.0)
+    written.save(path)
+    assert Population.load(path) == written
+    for content, message in (
+        ("people = -1.0\n", "people"),
+        ("coupling = [0.5, 0.5]\n", "4 positive shares"),
+        ("coupling = 3\n", "a list of shares"),
+        ("sofa = 1\n", "unknown key 'sofa'"),
+        ("coupling = [0.5, 0.5\n", "people.toml"),
+    ):
+        path.write_text(content)
+        with pytest.raises(InputError, match=message):
+            Population.load(path)
+
+
+# -- smoothing -----------------------------------------------------------------------------------------------
+
+
+def test_everybody_gets_constants_of_their_own() -> None:
+    people = mixed()
+    found = gt.solve(people, constants="learn")
+    facing, sideways = ([one.constants for one in found[k::2]] for k in (0, 1))  # type: ignore[union-attr]
+    follows = [
+        [sum(one.coupling[COUPLINGS[k].name] for k in (2, 3)) for one in some]  # type: ignore[union-attr]
+        for some in (facing, sideways)
+    ]
+    assert max(follows[1]) < 0.05 < min(follows[0])
+    mean = [np.mean([one.body_diffusion for one in some]) for some in (facing, sideways)]  # type: ignore[union-attr]
+    assert mean[1] > 4.0 * mean[0]
+    default, own = gt.smooth(people, "joint"), gt.smooth(people, constants="learn")
+    assert body_error(own, people) < 0.6 * body_error(default, people)
+
+
+def test_neither_order_nor_threads_nor_origin_nor_axes_change_an_estimate() -> None:
+    people = mixed(8)
+    found = gt.smooth(people, constants="learn")
+    for other in (
+        gt.smooth(people, constants="learn", jobs=1),
+        gt.smooth(people.with_tracks(people.tracks[::-1]), constants="learn"),
+    ):
+        by_id = {one.track_id: one for one in other}
+        for one in found:
+            assert (by_id[one.track_id].position == one.position).all()
+            assert (by_id[one.track_id].covariance == one.covariance).all()
+    turn, away = rotation(0.7), np.array([5e4, -2e4])
+
+    def moved(track: Track) -> Track:
+        assert track.body is not None and track.head is not None
+        return replace(
+            track,
+            t=track.t + 1e6,
+            position=track.position @ turn.T + away,
+            body=wrap(track.body + 0.7),
+            head=wrap(track.head + 0.7),
+        )
+
+    for one, other in zip(found, gt.smooth(people.map(moved), constants="learn"), strict=True):
+        np.testing.assert_allclose(other.position, one.position @ turn.T + away, atol=1e-5)
+        np.testing.assert_allclose(wrap(other.body - one.body - 0.7), 0.0, atol=2e-3)
+
+
+def test_gtsam_has_the_same_constants_and_estimates() -> None:
+    people = mixed(4)
+    chain, graph = (gt.smooth(people, constants="learn", engine=name) for name in ("chain", "gtsam"))  # type: ignore[call-overload]
+    for one, other in zip(chain, graph, strict=True):
+        np.testing.assert_allclose(other.position, one.position, atol=0.02)
+        assert np.abs(wrap(other.body - one.body)).max() < 0.1
+
+
+def test_a_known_population_is_used_as_it_is() -> None:
+    people = mixed(4)
+    free = Population(coupling=(0.997, 0.001, 0.001, 0.001))
+    _, shares = solve_learned(
+        people, gt.Model("joint"), lambda some, own: gt.solve(some, "joint"), population=free
+    )
+    assert shares.coupling == free.coupling
+
+
+def test_alternatives_are_averaged_with_their_spread() -> None:
+    track = walker(5)
+    one, other = (gt.solve(track, gt.Model("joint", own))[0] for own in (Parameters(), steady(Parameters())))
+    apart = replace(other, track=replace(other.track, body=wrap(other.track.body + 1.0)))  # type: ignore[union-attr]
+    found = averaged([one, apart], np.array([0.5, 0.5])).track  # type: ignore[list-item]
+    assert found.covariance is not None and one.track.covariance is not None  # type: ignore[union-attr]
+    assert (found.covariance[:, 4, 4] > one.track.covariance[:, 4, 4] + 0.1).all()  # type: ignore[union-attr]
+    away = wrap(found.body - one.track.body)  # type: ignore[union-attr]
+    assert (np.abs(away - 0.5) < 0.25).all()
+
+
+def test_the_command_prints_the_constants_and_refuses_others(cwd) -> None:
+    gt.write(mixed(4), "walks.csv")
+    done = ran("smooth", "walks.csv", "-o", "found.csv", "--constants", "learn", program="graphtrack")
+    assert done.stderr.count("body turns") == 4 and "model joint" in done.stderr
+    Population().save("people.toml")
+    ran("smooth", "walks.csv", "-o", "again.csv", "--constants", "people.toml", program="graphtrack")
+    for wrong in (["--constants", "lern"], ["--constants", "learn", "--model", "full"]):
+        done = run("smooth", "walks.csv", "-o", "no.csv", *wrong, program="graphtrack")
+        assert done.returncode == 2 and "constants" in done.stderr
