@@ -29,6 +29,7 @@ from graphtrack.inference.engines import (
     Failure,
     OfflineEngine,
     OnlineEngine,
+    PersonalConstants,
     Solution,
     SolverOptions,
     engine_of,
@@ -56,6 +57,7 @@ from graphtrack.tracks.track import Track, TrackSet
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given, Scene
     from graphtrack.learning.personal import Constants
+    from graphtrack.learning.population import Population
 
 
 Progress = Callable[[int], None]
@@ -152,13 +154,8 @@ def solve_tracks(
             walkable,
         )
     if constants != "default":
-        from graphtrack.learning.personal import population_of, solve_learned
-
-        # The learned constants are all of the model: nothing inflates its covariances.
-        model = model.with_parameters(steady(model.parameters))
-        alike = partial(solve_each, model=model, engine=engine, jobs=jobs, options=options, n_frames=n_frames)
-        found, _ = solve_learned(
-            tracks, model, lambda some, own: alike(some, personal=own), population_of(constants)
+        found, _ = _with_learned(
+            tracks, model, engine, constants, jobs=jobs, options=options, n_frames=n_frames
         )
         if progress is not None:
             progress(tracks.n_frames)
@@ -175,6 +172,53 @@ def solve_tracks(
     if not (model.has_groups and lacks_groups(tracks)):
         return each(tracks)
     return solve_in_turn(tracks, each, model.parameters.social.correlation_time)
+
+
+def learn_constants(
+    tracks: Given, model: Model | str | Path | None = None, *, jobs: int | None = None
+) -> tuple[Population, dict[int, PersonalConstants]]:
+    """Learn what `smooth` learns with ``constants="learn"``: the population, and each person's constants.
+
+    Parameters
+    ----------
+    tracks, jobs : as in `solve`
+    model : as in `solve`; by default "joint"
+
+    Returns
+    -------
+    The shares of the population, for ``constants`` of `solve`, and the constants of each track by its id,
+    without those of tracks that cannot be smoothed
+
+    Raises
+    ------
+    InputError
+        For a model whose constants cannot be learned.
+    """
+    chosen = _model_for("learn", model)
+    engine = engine_of(chosen)
+    given = tracks_of(tracks, scene=chosen.scene).map(with_position_noise)
+    found, population = _with_learned(given, chosen, engine, "learn", jobs=jobs)
+    solved = (one for one in found if isinstance(one, Solution) and one.constants is not None)
+    return population, {one.track.track_id: one.constants for one in solved if one.constants is not None}
+
+
+def _with_learned(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    constants: Constants,
+    **options: Any,
+) -> tuple[list[Solution | Failure], Population]:
+    from graphtrack.learning.personal import population_of, solve_learned
+
+    # The learned constants are all of the model: nothing inflates its covariances.
+    plain = model.with_parameters(steady(model.parameters))
+    known = population_of(constants)
+
+    def smoothed(some: TrackSet, own: Mapping[str, FloatArray]) -> list[Solution | Failure]:
+        return solve_each(some, plain, engine, personal=own, **options)
+
+    return solve_learned(tracks, plain, smoothed, known)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:

@@ -44,9 +44,15 @@ def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nb
     del notebook.cells[0]
     # Output that differs between machines and is of no use to a reader.
     notebook.metadata.pop("language_info", None)
+    count = 0
     for cell in notebook.cells:
         if cell.cell_type == "code":
+            count += 1
+            cell.execution_count = count
             cell.outputs = [output for output in cell.outputs if not tells_of_compiling(output)]
+            for output in cell.outputs:
+                if "execution_count" in output:
+                    output.execution_count = count
     return notebook
 
 

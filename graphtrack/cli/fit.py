@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from graphtrack.tracks.table import Rows
     from graphtrack.tracks.track import TrackSet
 
+_SHOWN = 10  # People whose constants are printed
+
 Tables = dict[str, list[dict[str, object]]]
 Learned = tuple[dict[str, Any], Sequence[str], Tables]
 """Results of learning as JSON-able data, notes, and tables by their titles."""
@@ -32,6 +34,7 @@ def fit(
     reading: options.SceneReading,
     output: options.OutputPath,
     scene: bool = False,
+    constants: bool = False,
     forecast: bool = False,
     groups: Path | None = None,
     attention: Path | None = None,
@@ -50,6 +53,7 @@ def fit(
     output : Model file to write (.toml).
     scene : Learn the scene from tracks: births, deaths, missed and false detections. With detections without
         identities this is the default.
+    constants : Learn the constants that people have in common, for graphtrack smooth --constants.
     forecast : Learn motion for graphtrack forecast --parameters; each file is a scene.
     groups : Learn group detection from this file of labelled groups: SALSA's, ETH's or a table.
     attention : Learn gaze from this file of labelled gaze targets (.csv): frame, track_id and target (an id
@@ -66,8 +70,16 @@ def fit(
         {"--output": output, "--report": report, "--json": json_path},
         {**reading.inputs(inputs, model), "--groups": groups, "--attention": attention},
     )
-    if sum((forecast, groups is not None, attention is not None)) > 1:
-        raise InputError("several of --forecast, --groups and --attention", "one of them")
+    if sum((constants, forecast, groups is not None, attention is not None)) > 1:
+        raise InputError("several of --constants, --forecast, --groups and --attention", "one of them")
+    if constants:
+        options.refuse(
+            {"--scene": scene, "--criterion": criterion, "--report": report},
+            "with --constants",
+            "tracks alone",
+        )
+        _write(_constants(reading.tracks(inputs), model, output), output, json_path, None)
+        return
     unused = {"--scene": scene, "--model": model, "--criterion": criterion}
     if forecast:
         options.refuse(unused, "with --forecast", "recordings of people whose identities are known")
@@ -105,6 +117,22 @@ def fit(
     found.model.save(output)
     tables = {"Changed parameters": parameter_rows(found), "Gain: log density a frame": score_rows(found)}
     _write((found.to_dict(), [*advice(found), caption(found)], tables), output, json_path, report)
+
+
+def _constants(tracks: TrackSet, model: str | None, output: Path) -> Learned:
+    """Learn what people have in common, and each person's constants."""
+    from dataclasses import asdict
+
+    from graphtrack.smoothing import learn_constants
+
+    with console.status("learning"):
+        population, people = learn_constants(tracks, model)
+    population.save(output)
+    rows: list[dict[str, object]] = [
+        {"track": track_id, "constants": one.described()} for track_id, one in people.items()
+    ]
+    content = {"population": asdict(population), "people": {str(k): asdict(one) for k, one in people.items()}}
+    return content, [f"learned from {len(people)} people"], {"Constants": rows[:_SHOWN]}
 
 
 def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:

@@ -258,7 +258,9 @@ def test_the_command_prints_the_constants_and_refuses_others(cwd) -> None:
     gt.write(mixed(4), "walks.csv")
     done = ran("smooth", "walks.csv", "-o", "found.csv", "--constants", "learn", program="graphtrack")
     assert done.stderr.count("body turns") == 4 and "model joint" in done.stderr
-    Population().save("people.toml")
+    done = ran("fit", "walks.csv", "--constants", "-o", "people.toml", program="graphtrack")
+    population, people = gt.smoothing.learn_constants("walks.csv")
+    assert Population.load("people.toml") == population and set(people) == set(range(4))
     ran("smooth", "walks.csv", "-o", "again.csv", "--constants", "people.toml", program="graphtrack")
     for wrong in (["--constants", "lern"], ["--constants", "learn", "--model", "full"]):
         done = run("smooth", "walks.csv", "-o", "no.csv", *wrong, program="graphtrack")

@@ -33,6 +33,7 @@ def others() -> None:
 
     gt.associate(gt.simulate("position", n_tracks=2, n_steps=40))
     gt.track_online(TRACK, "position", engine="fixed-lag", walkable=shapely.box(-9, -9, 9, 9))
+    gt.warm_up("joint", functions="OnlineTracker", walkable=True)
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         run_line("graphtrack simulate -o walks.csv --tracks 2")
