@@ -103,4 +103,6 @@ def test_the_commands_learn_and_judge(tmp_path: Path) -> None:
         *("fit", scene, "-o", learned, "--attention", looks, "--groups", tmp_path / "groups.csv"),
         program="graphtrack",
     )
-    assert both.returncode == 2 and "several of --forecast, --groups and --attention" in both.stderr
+    assert (
+        both.returncode == 2 and "several of --constants, --forecast, --groups and --attention" in both.stderr
+    )
