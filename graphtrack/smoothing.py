@@ -198,7 +198,7 @@ def learn_constants(
     engine = engine_of(chosen)
     given = tracks_of(tracks, scene=chosen.scene).map(with_position_noise)
     found, population = _with_learned(given, chosen, engine, "learn", jobs=jobs)
-    solved = (one for one in found if isinstance(one, Solution) and one.constants is not None)
+    solved = (one for one in found if isinstance(one, Solution))
     return population, {one.track.track_id: one.constants for one in solved if one.constants is not None}
 
 

@@ -71,6 +71,13 @@ def log_blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> Flo
     return np.asarray(np.log(scaled) + (resultant - first - second))
 
 
+def with_outliers(log_density: FloatArray, outliers: float) -> FloatArray:
+    """log of ε/2π + (1 − ε)·L: of angles that are outliers with the probability ε."""
+    with np.errstate(divide="ignore"):  # without outliers
+        anywhere = np.log(outliers / (2.0 * math.pi))
+    return np.logaddexp(math.log1p(-outliers) + log_density, anywhere)
+
+
 def mixture_log_density(
     angle: FloatArray, means: FloatArray, weights: FloatArray, kappa: FloatArray | float, uniform: float
 ) -> FloatArray:

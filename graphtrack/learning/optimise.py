@@ -21,6 +21,7 @@ from graphtrack.geometry.angles import (
     class_kappa,
     log_blurred,
     von_mises_log_density,
+    with_outliers,
 )
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
@@ -215,7 +216,7 @@ def _held_out_angles(
         noise = packed.records[f"{name}_kappa"]
         judged = hidden & (noise > 0.0)
         density = log_blurred(angle[judged] - estimate[judged], noise[judged], kappa[judged])
-        total[judged] = _or_any(density, likelihood.outlier_probability)
+        total[judged] = with_outliers(density, likelihood.outlier_probability)
     if classes is not None:
         weight = classes.sum(axis=1)
         judged = hidden & np.isfinite(weight) & (weight > 0.0)
@@ -223,15 +224,8 @@ def _held_out_angles(
         apart = class_centres(n) - estimate[judged, None]
         densities = log_blurred(apart, np.asarray(class_kappa(n)), kappa[judged, None])
         density = special.logsumexp(densities, axis=1, b=share)
-        total[judged] = _or_any(density, likelihood.class_outlier_probability)
+        total[judged] = with_outliers(density, likelihood.class_outlier_probability)
     return total
-
-
-def _or_any(log_density: FloatArray, outliers: float) -> FloatArray:
-    """log of ε/2π + (1 − ε)·L: of angles that are outliers with the probability ε."""
-    with np.errstate(divide="ignore"):  # without outliers
-        anywhere = np.log(outliers / (2.0 * math.pi))
-    return np.logaddexp(math.log1p(-outliers) + log_density, anywhere)
 
 
 @allocating

@@ -29,7 +29,7 @@ from graphtrack.learning.population import (
     COUPLINGS,
     DENSITIES,
     DIFFUSIONS,
-    Coupling,
+    CouplingAlternative,
     Population,
     learned,
     posterior,
@@ -156,7 +156,7 @@ def _motion(
     return values, replace(start, **shares)
 
 
-def _strengths(coupling: Coupling, model: Model, count: int) -> dict[str, FloatArray]:
+def _strengths(coupling: CouplingAlternative, model: Model, count: int) -> dict[str, FloatArray]:
     own = model.parameters.coupling
     return {
         "coupling.motion_body_kappa": np.full(count, coupling.motion_body * own.motion_body_kappa),
@@ -164,14 +164,16 @@ def _strengths(coupling: Coupling, model: Model, count: int) -> dict[str, FloatA
     }
 
 
-def _alternatives(model: Model) -> tuple[Coupling, ...]:
+def _alternatives(model: Model) -> tuple[CouplingAlternative, ...]:
     """Return the couplings that differ for a model, the last of those that are alike."""
     has_path, has_neck = model.has_term(BodyFollowsMotion), model.has_term(HeadFollowsBody)
     kept = {(one.motion_body * has_path, one.head_body * has_neck): one for one in COUPLINGS}
     return tuple(kept.values())
 
 
-def _with_couplings(shares: Population, alternatives: Sequence[Coupling], learned: FloatArray) -> Population:
+def _with_couplings(
+    shares: Population, alternatives: Sequence[CouplingAlternative], learned: FloatArray
+) -> Population:
     """Return the population with the learned shares of some couplings; the others keep theirs."""
     found = np.array(shares.coupling)
     places = [COUPLINGS.index(one) for one in alternatives]
@@ -228,7 +230,7 @@ def _of_one(found: Sequence[Solution | Failure | None], weights: FloatArray) -> 
 def _with_constants(
     found: Sequence[Solution | Failure],
     motion: Mapping[str, FloatArray],
-    alternatives: Sequence[Coupling],
+    alternatives: Sequence[CouplingAlternative],
     weights: FloatArray,
 ) -> list[Solution | Failure]:
     names = [one.name for one in alternatives]

@@ -24,7 +24,7 @@ DIFFUSIONS = np.radians(np.geomspace(2.5, 160.0, 13)) ** 2
 
 
 @dataclass(frozen=True)
-class Coupling:
+class CouplingAlternative:
     """A way in which orientations follow the motion.
 
     Attributes
@@ -39,10 +39,10 @@ class Coupling:
 
 
 COUPLINGS = (
-    Coupling("free", 0.0, 0.0),
-    Coupling("head follows body", 0.0, 1.0),
-    Coupling("body follows path", 1.0, 0.0),
-    Coupling("body follows path, head follows body", 1.0, 1.0),
+    CouplingAlternative("free", 0.0, 0.0),
+    CouplingAlternative("head follows body", 0.0, 1.0),
+    CouplingAlternative("body follows path", 1.0, 0.0),
+    CouplingAlternative("body follows path, head follows body", 1.0, 1.0),
 )
 
 

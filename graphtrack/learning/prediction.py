@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, direction, log_blurred, unit
+from graphtrack.geometry.angles import FloatArray, direction, log_blurred, unit, with_outliers
 from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.learning.innovations import observed_direction
 from graphtrack.model.parameters import Parameters
@@ -69,8 +69,5 @@ def _of_angles(
     sure = np.maximum(1.0 / variance[known], (1.0 + _LEAST) * kappa)
     rest = sure[:, None] * unit(smoothed) - kappa[:, None] * unit(angle)
     density = log_blurred(angle - direction(rest), kappa, np.linalg.norm(rest, axis=1))
-    outliers = parameters.likelihood.outlier_probability
-    if outliers > 0.0:
-        density = np.logaddexp(math.log1p(-outliers) + density, math.log(outliers / (2.0 * math.pi)))
-    found[known] = density
+    found[known] = with_outliers(density, parameters.likelihood.outlier_probability)
     return found

@@ -10,23 +10,18 @@ import pytest
 from innovation_filter import estimates
 
 import graphtrack as gt
-from graphtrack.experiments.harness import evenly
+from graphtrack.experiments.harness import evenly, thinned
 from graphtrack.geometry.angles import wrap
 from graphtrack.tracks.track import Track, TrackSet
 
 INPUTS = {"all": ("body", "head"), "heads alone": ("head",), "positions alone": ()}
 
 
-def thinned(track: Track, hz: float) -> Track:
-    step = max(1, round(1.0 / (hz * float(np.median(track.dt[1:])))))
-    return track[np.arange(0, len(track), step)]
-
-
 def observed(tracks: TrackSet, hz: float, channels: tuple[str, ...], rng: np.random.Generator) -> list[Track]:
     """Noise of 0.1 m, 30° (body) and 20° (head), and 15 % of the frames empty."""
     found = []
     for track in tracks:
-        track = thinned(track, hz)
+        track = thinned(track, max(1, round(1.0 / (hz * float(np.median(track.dt[1:]))))))
         if len(track) < 8:
             continue
         empty = rng.random(len(track)) < 0.15
