@@ -99,7 +99,7 @@ def solve(
     -------
     list of Solution or Failure, in the order of the tracks
     """
-    model = _model_for(constants, model)
+    model = model_for(constants, model)
     solver = engine_of(model, engine)
     given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust)
     for line in verdict:
@@ -121,7 +121,8 @@ LEARNED_PRESET = "joint"
 """The preset whose constants are learned where no model is named."""
 
 
-def _model_for(constants: Constants, model: Model | str | Path | None) -> Model:
+def model_for(constants: Constants, model: Model | str | Path | None) -> Model:
+    """Return the named model; without a name that of `LEARNED_PRESET` if constants are learned."""
     return Model.named(LEARNED_PRESET if model is None and constants != "default" else model)
 
 
@@ -194,7 +195,7 @@ def learn_constants(
     InputError
         For a model whose constants cannot be learned.
     """
-    chosen = _model_for("learn", model)
+    chosen = model_for("learn", model)
     engine = engine_of(chosen)
     given = tracks_of(tracks, scene=chosen.scene).map(with_position_noise)
     found, population = _with_learned(given, chosen, engine, "learn", jobs=jobs)
@@ -285,7 +286,7 @@ def smooth(
     SolveError
         For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
-    model = _model_for(constants, model)
+    model = model_for(constants, model)
     given = tracks_of(tracks, scene=model.scene, **reading)
     origin = min((float(track.t[0]) for track in given), default=0.0)
     if fill:

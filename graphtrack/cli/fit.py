@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from graphtrack.tracks.table import Rows
     from graphtrack.tracks.track import TrackSet
 
-_SHOWN = 10  # People whose constants are printed
-
 Tables = dict[str, list[dict[str, object]]]
 Learned = tuple[dict[str, Any], Sequence[str], Tables]
 """Results of learning as JSON-able data, notes, and tables by their titles."""
@@ -132,7 +130,7 @@ def _constants(tracks: TrackSet, model: str | None, output: Path) -> Learned:
         {"track": track_id, "constants": one.described()} for track_id, one in people.items()
     ]
     content = {"population": asdict(population), "people": {str(k): asdict(one) for k, one in people.items()}}
-    return content, [f"learned from {len(people)} people"], {"Constants": rows[:_SHOWN]}
+    return content, [f"learned from {len(people)} people"], {"Constants": rows[: options.SHOWN_CONSTANTS]}
 
 
 def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:

@@ -91,6 +91,7 @@ Constants = Annotated[
         "the recording, by default with the model joint; FILE, each person's, with the population of a file.",
     ),
 ]
+SHOWN_CONSTANTS = 10  # People whose learned constants are printed
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
 Places = Annotated[
     Path | None,

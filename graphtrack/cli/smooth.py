@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from graphtrack.tracks.track import TrackSet
 
 
-_SHOWN = 10  # Tracks of which learned constants are printed
-
 LARGE = 512 * 2**20
 """Bytes of a Parquet file from which it is streamed by default."""
 
@@ -178,19 +176,17 @@ def smooth(
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
-    from graphtrack.model import Model
-    from graphtrack.smoothing import LEARNED_PRESET, solve_tracks
+    from graphtrack.smoothing import model_for, solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
-    if model is None and constants not in (None, "default"):
-        model = LEARNED_PRESET
-    chosen = Model.named(model)
+    constants = constants or "default"
+    chosen = model_for(constants, model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--trust": trust not in (None, "declared")}
-        unused |= {"--constants": constants not in (None, "default")}
+        unused |= {"--constants": constants != "default"}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
         unused |= {options.option_name(name): value for name, value in given if name not in streamed}
@@ -227,7 +223,7 @@ def smooth(
             jobs=jobs,
             progress=advance,
             walkable=area,
-            constants=constants or "default",
+            constants=constants,
         )
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
@@ -241,7 +237,7 @@ def smooth(
         f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
         f"{len(good) - len(unconverged)} converged"
     )
-    for result in good[:_SHOWN]:
+    for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
             emit(f"  track {result.track.track_id}: {result.constants.described()}")
     for result in unconverged:
