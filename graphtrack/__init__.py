@@ -10,6 +10,7 @@ from graphtrack.packages import imported_names
 if TYPE_CHECKING:
     from graphtrack.association.associate import associate, from_supervision, from_ultralytics, read
     from graphtrack.association.tracker import PersonEstimate
+    from graphtrack.constants.online import OnlineSmoother
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
-    from graphtrack.inference import Estimate, Failure, OnlineSmoother, Solution, SolverOptions
+    from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
     from graphtrack.interaction.attention import GazeTargets, OnlineAttention
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
@@ -104,13 +105,14 @@ _HOMES = {
     "association.associate": "associate from_supervision from_ultralytics read",
     "association.tracker": "PersonEstimate",
     "errors": "GraphtrackError InputError InputWarning SolveError",
+    "constants.online": "OnlineSmoother",
     "evaluation.compare": "Comparison compare",
     "evaluation.identities": "SequenceScore TrackingScore score",
     "evaluation.state_score": "StateScore score_states",
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",
-    "inference": "Estimate Failure OnlineSmoother Solution SolverOptions",
+    "inference": "Estimate Failure Solution SolverOptions",
     "interaction.attention": "GazeTargets OnlineAttention",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",

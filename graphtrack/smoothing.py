@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from operator import itemgetter
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
@@ -19,6 +19,10 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.association.tracker import DetectionTracker, PersonEstimate
+from graphtrack.constants.commons import commons_of
+from graphtrack.constants.online import OnlineSmoother
+from graphtrack.constants.personal import Constants, is_learned, population_of, solve_learned
+from graphtrack.constants.population import Population
 from graphtrack.diagnostics import Trust, trusted
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
@@ -36,7 +40,6 @@ from graphtrack.inference.engines import (
     rehearsals,
 )
 from graphtrack.inference.offline import solve_each
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import solve_inside
@@ -56,8 +59,6 @@ from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given, Scene
-    from graphtrack.learning.personal import Constants
-    from graphtrack.learning.population import Population
 
 
 Progress = Callable[[int], None]
@@ -73,7 +74,7 @@ def solve(
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
     walkable: AreaLike | None = None,
-    constants: Constants = "default",
+    constants: Constants | None = None,
 ) -> list[Solution | Failure]:
     """Smooth every track; a track that fails does not stop the rest.
 
@@ -81,7 +82,7 @@ def solve(
     ----------
     tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
         `TrackSet.from_table`
-    model : a `Model`, a preset's name or a model file; by default "full"
+    model : a `Model`, a preset's name or a model file; by default "joint"
     engine : "auto", "chain" or "gtsam"; they minimise one cost, and may reach different minima of it
     jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
         the interpreter's lock, by default one
@@ -91,15 +92,15 @@ def solve(
         contradict it; "learn": correct it there, warn, and go on
     walkable : area in which people walk, in metres: a file of GeoJSON or well-known text, or a polygon of
         Shapely or PedPy
-    constants : "default": those of the model; "learn": those of each person, learned from the tracks, with
-        the model "joint" unless another is named; a `Population` or its file: each person's are learned, with
-        that prior in place of what these people have in common
+    constants : "learn": those of each person, learned from the tracks; a `Population` or its file: the same,
+        with that prior in place of what these people have in common; "default": those of the model. By
+        default "learn" with the default model, and "default" with another
 
     Returns
     -------
     list of Solution or Failure, in the order of the tracks
     """
-    model = model_for(constants, model)
+    model = Model.named(model)
     solver = engine_of(model, engine)
     given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust)
     for line in verdict:
@@ -117,15 +118,6 @@ def solve(
     )
 
 
-LEARNED_PRESET = "joint"
-"""The preset whose constants are learned where no model is named."""
-
-
-def model_for(constants: Constants, model: Model | str | Path | None) -> Model:
-    """Return the named model; without a name that of `LEARNED_PRESET` if constants are learned."""
-    return Model.named(LEARNED_PRESET if model is None and constants != "default" else model)
-
-
 def solve_tracks(
     tracks: TrackSet,
     model: Model,
@@ -136,7 +128,7 @@ def solve_tracks(
     progress: Callable[[int], None] | None = None,
     n_frames: int | None = None,
     walkable: WalkableArea | None = None,
-    constants: Constants = "default",
+    constants: Constants | None = None,
 ) -> list[Solution | Failure]:
     """Smooth tracks with the engine of `engine_of`; groups are found where the model has them.
 
@@ -154,12 +146,10 @@ def solve_tracks(
             partial(plain, model=model.with_terms(StaysInside)),
             walkable,
         )
-    if constants != "default":
+    if is_learned(constants, model):
         found, _ = _with_learned(
-            tracks, model, engine, constants, jobs=jobs, options=options, n_frames=n_frames
+            tracks, model, engine, constants, progress, jobs=jobs, options=options, n_frames=n_frames
         )
-        if progress is not None:
-            progress(tracks.n_frames)
         return found
     each = partial(
         solve_each,
@@ -195,10 +185,10 @@ def learn_constants(
     InputError
         For a model whose constants cannot be learned.
     """
-    chosen = model_for("learn", model)
+    chosen = Model.named(model)
     engine = engine_of(chosen)
     given = tracks_of(tracks, scene=chosen.scene).map(with_position_noise)
-    found, population = _with_learned(given, chosen, engine, "learn", jobs=jobs)
+    found, population = _with_learned(given, chosen, engine, "learn", None, jobs=jobs)
     solved = (one for one in found if isinstance(one, Solution))
     return population, {one.track.track_id: one.constants for one in solved if one.constants is not None}
 
@@ -207,19 +197,20 @@ def _with_learned(
     tracks: TrackSet,
     model: Model,
     engine: OfflineEngine,
-    constants: Constants,
+    constants: Constants | None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
-    from graphtrack.learning.personal import population_of, solve_learned
-
     # The learned constants are all of the model: nothing inflates its covariances.
     plain = model.with_parameters(steady(model.parameters))
-    known = population_of(constants)
+    known = None if constants is None else population_of(constants)
 
-    def smoothed(some: TrackSet, own: Mapping[str, FloatArray]) -> list[Solution | Failure]:
-        return solve_each(some, plain, engine, personal=own, **options)
+    def smoothed(
+        some: TrackSet, own: Mapping[str, FloatArray], done: Progress | None
+    ) -> list[Solution | Failure]:
+        return solve_each(some, plain, engine, personal=own, progress=done, **options)
 
-    return solve_learned(tracks, plain, smoothed, known)
+    return solve_learned(tracks, plain, smoothed, known, progress)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:
@@ -236,7 +227,7 @@ class Solving(TypedDict, total=False):
     progress: Progress | None
     trust: Trust
     walkable: AreaLike | None
-    constants: Constants
+    constants: Constants | None
 
 
 class Smoothing(Solving, FileReading, total=False):
@@ -264,7 +255,7 @@ def smooth(
     fill: bool = False,
     resample: float | None = None,
     walkable: AreaLike | None = None,
-    constants: Constants = "default",
+    constants: Constants | None = None,
     **reading: Unpack[FileReading],
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
@@ -286,7 +277,7 @@ def smooth(
     SolveError
         For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
-    model = model_for(constants, model)
+    model = Model.named(model)
     given = tracks_of(tracks, scene=model.scene, **reading)
     origin = min((float(track.t[0]) for track in given), default=0.0)
     if fill:
@@ -320,6 +311,7 @@ class OnlineOptions(TypedDict, total=False):
     lag: float | None
     camera: GroundCamera | None
     walkable: AreaLike | None
+    constants: Constants | None
 
 
 class OnlineReading(ReadingBase, total=False):
@@ -352,17 +344,19 @@ def track_online(
     camera: GroundCamera | None = None,
     progress: Progress = lambda frames: None,
     walkable: AreaLike | None = None,
+    constants: Constants | None = None,
     **reading: Unpack[OnlineReading],
 ) -> TrackSet | Track:
     """Return online estimates of recorded tracks: at each frame from data up to it, NaN before a position.
 
+    Constants are learned from a person's earlier observations, and from those who left before.
     With the model "social" the tracks of a scene are tracked in step, and their groups are estimated, where
     no track has the input ``group``.
 
     Parameters
     ----------
     tracks : a `Track`, which returns a `Track`, or input of `solve`, which returns a `TrackSet`
-    model, engine, lag : as in `OnlineSmoother`
+    model, constants, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
     progress : called with the numbers of person-frames that are done
     walkable : as in `OnlineSmoother`
@@ -375,17 +369,20 @@ def track_online(
         `associate`, and from the past alone by `OnlineTracker`.
     """
     area = None if walkable is None else WalkableArea.of(walkable)
-    options: OnlineOptions = {"engine": engine, "lag": lag, "camera": camera, "walkable": area}
+    options: OnlineOptions = {
+        "engine": engine,
+        "lag": lag,
+        "camera": camera,
+        "walkable": area,
+        "constants": constants,
+    }
     if not isinstance(tracks, Track) or reading:
         scene, chosen = tracks_of(tracks, identified=True, **reading), Model.named(model)
         options["camera"] = scene.camera if camera is None else camera
         scene = _noted(scene, chosen, options["camera"])
-        if chosen.has_groups and lacks_groups(scene):
-            return _in_step(scene, chosen, options, progress)
-        return scene.map(lambda one: _by_itself(one, chosen, options, progress))
+        return _side_by_side(scene, chosen, options, progress) if len(scene) else scene
     chosen = Model.named(model)
-    (track,) = _noted(TrackSet((tracks,)), chosen, camera)
-    return _by_itself(track, chosen, options, progress)
+    return _side_by_side(_noted(TrackSet((tracks,)), chosen, camera), chosen, options, progress).tracks[0]
 
 
 def _noted(tracks: TrackSet, model: Model, camera: GroundCamera | None) -> TrackSet:
@@ -395,28 +392,62 @@ def _noted(tracks: TrackSet, model: Model, camera: GroundCamera | None) -> Track
     return tracks.map(with_position_noise)
 
 
-def _by_itself(track: Track, model: Model, options: OnlineOptions, progress: Progress) -> Track:
-    smoother = OnlineSmoother(model, **options)
-    usable = map(smoother.usable, observations(track))
-    found = [smoother.update_together([smoother], [one])[0] for one in usable]
-    progress(len(track))
-    return as_track(track, found, model)
+def _side_by_side(scene: TrackSet, model: Model, options: OnlineOptions, progress: Progress) -> TrackSet:
+    """Track all people in the order of time, each with what the others have in common so far.
+
+    With a model that has groups, and tracks that do not, each has the conversations before as input.
+    """
+    constants = options.get("constants")
+    commons = commons_of(constants, model)
+    conversations = Conversations(model) if model.has_groups and lacks_groups(scene) else None
+    tracks = scene.tracks
+    given = [observations(track) for track in tracks]
+    people: dict[int, OnlineSmoother] = {}
+    found: list[list[Estimate]] = [[] for _ in tracks]
+    answers: dict[int, Track] = {}
+    for t, places in _in_time(tracks):
+        if commons is not None and commons.is_due(t):
+            commons.refresh(t, {place: one.learner for place, one in people.items()})
+        for place in places:
+            if place not in people:
+                people[place] = OnlineSmoother(model, **options)
+            if commons is not None:
+                commons.inform(people[place].learner)
+        # Groups are estimated person by person.
+        parts = [places] if conversations is None else [[place] for place in places]
+        for part in parts:
+            some = [people[place] for place in part]
+            observed = [next(given[place]) for place in part]
+            if conversations is not None:
+                observed = [
+                    conversations.observed(tracks[place].track_id, one)
+                    for place, one in zip(part, observed, strict=True)
+                ]
+            usable = [one.usable(observation) for one, observation in zip(some, observed, strict=True)]
+            for place, estimate in zip(part, OnlineSmoother.update_together(some, usable), strict=True):
+                found[place].append(estimate)
+                if conversations is not None:
+                    conversations.estimated(tracks[place].track_id, estimate)
+        for place in places:
+            if len(found[place]) == len(tracks[place]):
+                answers[place] = as_track(tracks[place], found[place], model)
+                found[place] = []
+                gone = people.pop(place)
+                if commons is not None:
+                    commons.leave(gone.learner)
+        progress(len(places))
+    return scene.with_tracks(answers[place] for place in range(len(tracks)))
 
 
-def _in_step(scene: TrackSet, model: Model, options: OnlineOptions, progress: Progress) -> TrackSet:
-    """Track all people frame by frame, each with the conversations of earlier frames as input."""
-    conversations = Conversations(model)
-    people = [OnlineSmoother(model, **options) for _ in scene]
-    found: list[list[Estimate]] = [[] for _ in scene]
-    observed = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
-    for (_, place), observation in sorted(observed, key=itemgetter(0)):
-        track_id = scene.tracks[place].track_id
-        observation = people[place].usable(conversations.observed(track_id, observation))
-        (estimate,) = OnlineSmoother.update_together([people[place]], [observation])
-        conversations.estimated(track_id, estimate)
-        found[place].append(estimate)
-        progress(1)
-    return scene.with_tracks(map(partial(as_track, model=model), scene, found))
+def _in_time(tracks: Sequence[Track]) -> Iterator[tuple[float, list[int]]]:
+    """Yield each time and the places of the tracks that have a row then, a row of each at a time."""
+    times = np.concatenate([track.t for track in tracks])
+    place = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    order = np.lexsort((place, times))
+    times, place = times[order], place[order]
+    begins = np.flatnonzero((np.diff(times, prepend=-np.inf) > 0.0) | (np.diff(place, prepend=-1) <= 0))
+    for begin, end in pairwise((*begins.tolist(), len(times))):
+        yield float(times[begin]), place[begin:end].tolist()
 
 
 _SMOOTHING = ("smooth", "solve")
@@ -459,6 +490,7 @@ def warm_up(
         For a name that is none of these.
     """
     from graphtrack.association import offline as association
+    from graphtrack.constants import filters
     from graphtrack.forecasting import forecaster
     from graphtrack.interaction import attention, groups
 
@@ -474,6 +506,9 @@ def warm_up(
         offline = not wanted.isdisjoint(_SMOOTHING)
         online = not wanted.isdisjoint((*_TRACKING, *_DETECTIONS))
         found += rehearsals(each, engine, offline=offline, online=online, large=large)
+    if is_learned(None, chosen):
+        found += [filters.REHEARSAL] * (not wanted.isdisjoint(_SMOOTHING))
+        found += [filters.ONLINE_REHEARSAL] * (not wanted.isdisjoint((*_TRACKING, *_DETECTIONS)))
     if not wanted.isdisjoint((*_SMOOTHING, *_DETECTIONS, "associate")):
         found.append(association.REHEARSAL)
     if (chosen.has_groups and of_tracks) or not wanted.isdisjoint(_BEHAVIOUR[:4]):
@@ -504,6 +539,7 @@ class OnlineTracker(DetectionTracker):
     scene : known parameters of birth, death, detection and clutter: `SceneParameters`, or some by name. The
         rest are those of the model, else learned from the detections
     walkable : as in `OnlineSmoother`; `forecast` predicts no path that leaves it
+    constants : as in `OnlineSmoother`; the people of the scene so far are the prior of the next
 
     Attributes
     ----------
@@ -527,6 +563,7 @@ class OnlineTracker(DetectionTracker):
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
         walkable: AreaLike | None = None,
+        constants: Constants | None = None,
     ) -> None:
         chosen = Model.named(model)
         area = None if walkable is None else WalkableArea.of(walkable)
@@ -539,6 +576,7 @@ class OnlineTracker(DetectionTracker):
             camera=camera,
             groups=self._conversations,
             walkable=area,
+            constants=constants,
         )
         self._scene = known_values(scene)
         self._forecaster: Forecaster | None = None

@@ -37,7 +37,7 @@ def people() -> TrackSet:
 
 @cache
 def solution() -> gt.Solution:
-    (found,) = gt.solve(TrackSet((people().by_id(0)[:20],)), "joint")
+    (found,) = gt.solve(TrackSet((people().by_id(0)[:20],)), "joint", constants="default")
     assert isinstance(found, gt.Solution)
     return found
 
@@ -58,7 +58,7 @@ def nasty_score() -> gt.TrackingScore:
 
 
 def online(count: int) -> gt.OnlineSmoother:
-    made = gt.OnlineSmoother("joint", lag=1.0)
+    made = gt.OnlineSmoother("joint", lag=1.0, constants="default")
     for k in range(count):
         made.update(gt.Observation(0.5 * k, frame=k, position=(k, 2.0), head=0.5))
     return made

@@ -17,12 +17,14 @@ import numpy as np
 from graphtrack.association.associate import usable
 from graphtrack.association.likelihood import observed_angles
 from graphtrack.association.online import NOBODY, Decision, OnlineAssociation, Revision
+from graphtrack.constants.commons import commons_of
+from graphtrack.constants.online import OnlineSmoother
+from graphtrack.constants.personal import Constants
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, as_track, checked, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
@@ -140,7 +142,7 @@ class DetectionTracker(Saved):
     """Track all people in a scene online from detections without identities; see `OnlineTracker`.
 
     ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
-    ``walkable``: area in which people walk.
+    ``walkable``: area in which people walk. ``constants``: as in `OnlineSmoother`.
     ``revised`` has the revisions of the last update, ``newest`` its observations.
     """
 
@@ -154,9 +156,17 @@ class DetectionTracker(Saved):
         camera: GroundCamera | None = None,
         groups: SceneGroups | None = None,
         walkable: WalkableArea | None = None,
+        constants: Constants | None = None,
     ) -> None:
-        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera, "walkable": walkable}
+        self._options: dict[str, Any] = {
+            "engine": engine,
+            "lag": lag,
+            "camera": camera,
+            "walkable": walkable,
+            "constants": constants,
+        }
         self.model, self._camera, self._walkable = Model.named(model), camera, walkable
+        self._commons = commons_of(constants, self.model)
         smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
@@ -244,7 +254,8 @@ class DetectionTracker(Saved):
             for track_id, person in self._people.items()
         ]
         observations = [[*key, pack_observation(one)] for key, one in self._observations.items()]
-        return {"association": self._association.state(), "people": people, "seen": observations}
+        commons = {} if self._commons is None else {"commons": self._commons.state()}
+        return {"association": self._association.state(), "people": people, "seen": observations} | commons
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`."""
@@ -252,6 +263,8 @@ class DetectionTracker(Saved):
         self._observations = {
             (integer(k), integer(place)): unpack_observation(one) for k, place, one in state["seen"]
         }
+        if self._commons is not None:
+            self._commons.restore(state["commons"])
         for saved in state["people"]:
             smoother = OnlineSmoother.from_state(saved["smoother"], self.model, **self._options)
             keys = [(integer(k), integer(place)) for k, place in saved["keys"]]
@@ -294,6 +307,13 @@ class DetectionTracker(Saved):
             if track_id > 0:
                 self._people[track_id] = _Person(self._smoother())
         hiding, living = set(hidden), self._association.remembered()
+        if self._commons is not None:
+            t = self._observations[number, UNSEEN].t
+            if self._commons.is_due(t):
+                present = {track_id: one.smoother.learner for track_id, one in self._people.items()}
+                self._commons.refresh(t, present)
+            for one in self._people.values():
+                self._commons.inform(one.smoother.learner)
         ahead: list[tuple[_Person, list[Key]]] = []  # with one new observation, and no other change
         for track_id, person in list(self._people.items()):
             person.forget(settled)
@@ -311,7 +331,9 @@ class DetectionTracker(Saved):
             else:
                 keys, is_observed = [*before, *unseen], any(place != UNSEEN for _, place in before)
             if not is_observed and track_id not in living:
-                del self._people[track_id]
+                gone = self._people.pop(track_id)
+                if self._commons is not None:
+                    self._commons.leave(gone.smoother.learner)
             elif keys and keys[:-1] == before:
                 ahead.append((person, keys))
             elif keys != before:

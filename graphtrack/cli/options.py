@@ -87,8 +87,9 @@ Constants = Annotated[
     str | None,
     typer.Option(
         metavar="<default|learn|FILE>",
-        help="Constants of motion, turning and couplings: default, the model's; learn, each person's, from "
-        "the recording, by default with the model joint; FILE, each person's, with the population of a file.",
+        help="Constants of motion, turning and couplings: learn, each person's, from the observations; FILE, "
+        "the same, with the population of a file; default, the model's. By default learn with the default "
+        "model, else default.",
     ),
 ]
 SHOWN_CONSTANTS = 10  # People whose learned constants are printed

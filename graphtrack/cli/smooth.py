@@ -176,17 +176,16 @@ def smooth(
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
-    from graphtrack.smoothing import model_for, solve_tracks
+    from graphtrack.model import Model
+    from graphtrack.smoothing import solve_tracks
     from graphtrack.tracks.gaps import at_times, with_times_at
 
-    constants = constants or "default"
-    chosen = model_for(constants, model)
+    chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--trust": trust not in (None, "declared")}
-        unused |= {"--constants": constants != "default"}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
         unused |= {options.option_name(name): value for name, value in given if name not in streamed}
@@ -201,6 +200,7 @@ def smooth(
             batch_frames=batch_frames,
             select=tuple(reading.select or ()),
             read_options=reading.options(),
+            constants=constants,
         )
         return
     tracks = reading.tracks(inputs, scene=chosen.scene)

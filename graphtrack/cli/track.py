@@ -40,6 +40,7 @@ def track(
     attention: bool = False,
     places: options.Places = None,
     walkable: options.Walkable = None,
+    constants: options.Constants = None,
 ) -> None:
     """Track online: estimate each frame from the observations up to it.
 
@@ -74,8 +75,9 @@ def track(
         },
         table=output,
     )
+    from graphtrack.constants.online import OnlineSmoother
+    from graphtrack.constants.personal import known_constants
     from graphtrack.inference.engines import check_lag, online_engine
-    from graphtrack.inference.online import OnlineSmoother
     from graphtrack.model import Model
     from graphtrack.smoothing import track_online
 
@@ -106,6 +108,7 @@ def track(
             asked_of(groups, attention, places),
             StreamBounds(max_people or StreamBounds.people, forget_after or StreamBounds.forget_after),
             None if walkable is None else WalkableArea.of(walkable),
+            known_constants(constants),
         )
         _track_stream(answers, reading, state, save_every)
         return
@@ -126,13 +129,22 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        _track_detections(rows, output, chosen, engine, kept, walkable)
+        _track_detections(rows, output, chosen, engine, kept, walkable, constants)
         return
     tracks = reading.tracks([place_of(input)], rows)
-    OnlineSmoother(chosen, engine=engine, lag=kept, walkable=walkable)  # the first one compiles
+    # The first one compiles.
+    OnlineSmoother(chosen, engine=engine, lag=kept, walkable=walkable, constants=constants)
     start = time.perf_counter()
     with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
-        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance, walkable=walkable)
+        everybody = track_online(
+            tracks,
+            chosen,
+            engine=engine,
+            lag=kept,
+            progress=advance,
+            walkable=walkable,
+            constants=constants,
+        )
     seconds = time.perf_counter() - start
     found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]
     unseen = sorted({one.track_id for one in everybody} - {one.track_id for one in found})
@@ -158,6 +170,7 @@ def _track_detections(
     engine: OnlineEngine,
     lag: float | None,
     walkable: Path | None,
+    constants: str | None,
 ) -> None:
     """Track the detections of a file online, and write the estimates without revision."""
     from graphtrack.association.tracker import track_rows
@@ -165,7 +178,9 @@ def _track_detections(
     from graphtrack.inference.engines import online_engine
     from graphtrack.smoothing import OnlineTracker
 
-    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable)
+    tracker = OnlineTracker(
+        model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable, constants=constants
+    )
     start = time.perf_counter()
     with progress_bar(len(rows), "detections") as advance:
         tracks = track_rows(rows, tracker, advance)

@@ -32,13 +32,12 @@ from graphtrack.evaluation.metrics import (
 from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import OnlineEngine
-from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET
 from graphtrack.simulation.degrade import Occlusion, occlude
-from graphtrack.smoothing import track_online
+from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks.display import counted, html_table, listed
-from graphtrack.tracks.track import Track
+from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -112,7 +111,9 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
             online=False,
         ),
         "smoother": _method(
-            "smoother", lambda track, model, camera: smooth_track(track, model, camera).track, online=False
+            "smoother",
+            lambda track, model, camera: smooth(TrackSet((track,), camera=camera), model).tracks[0],
+            online=False,
         ),
         "chain": _online("chain"),
         "isam2": _online("isam2"),

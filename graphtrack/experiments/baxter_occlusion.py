@@ -137,12 +137,12 @@ def hidden_only(model: Model) -> Predictor:
 
 def online(model: Model, engine: OnlineEngine = "chain") -> Predictor:
     """The online graph."""
-    return lambda track: track_online(track, model, engine=engine, lag=LAG).position
+    return lambda track: track_online(track, model, engine=engine, lag=LAG, constants="default").position
 
 
 def offline(model: Model) -> Predictor:
     """The offline graph."""
-    return lambda track: smooth(TrackSet((track,)), model).tracks[0].position
+    return lambda track: smooth(TrackSet((track,)), model, constants="default").tracks[0].position
 
 
 def fitted(training: WithheldWindows, settings: Settings) -> dict[str, Predictor]:

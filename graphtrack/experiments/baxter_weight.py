@@ -140,7 +140,7 @@ def graph_nats(
     for track in tracks:
         given = rate.given_to(track)
         if every == 1:
-            estimate = track_online(given, model, engine="chain", lag=LAG)
+            estimate = track_online(given, model, engine="chain", lag=LAG, constants="default")
         else:
             has_position = np.flatnonzero(np.isfinite(track.position).all(axis=1))
             estimate = from_the_past(given, model, has_position[2::every] - 1)

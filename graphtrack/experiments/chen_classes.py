@@ -170,9 +170,18 @@ METHODS: Methods = {
         "online",
         lambda track, model: particle_filter(track, model, options=ParticleOptions(pose="closest")).track,
     ),
-    "graph, chain": ("online", lambda track, model: track_online(track, model, engine="chain", lag=LAG)),
-    "graph, isam2": ("online", lambda track, model: track_online(track, model, engine="isam2", lag=LAG)),
-    "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
+    "graph, chain": (
+        "online",
+        lambda track, model: track_online(track, model, engine="chain", lag=LAG, constants="default"),
+    ),
+    "graph, isam2": (
+        "online",
+        lambda track, model: track_online(track, model, engine="isam2", lag=LAG, constants="default"),
+    ),
+    "smoother": (
+        "offline",
+        lambda track, model: smooth(TrackSet((track,)), model, constants="default").tracks[0],
+    ),
 }
 """Method → group and estimator."""
 

@@ -310,10 +310,19 @@ WALKERS = "mocap, walking"
 
 METHODS: Methods = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
-    "graph": ("online", lambda track, model: track_online(track, model, engine="chain", lag=LAG)),
-    f"graph{ISAM2}": ("online", lambda track, model: track_online(track, model, engine="isam2", lag=LAG)),
+    "graph": (
+        "online",
+        lambda track, model: track_online(track, model, engine="chain", lag=LAG, constants="default"),
+    ),
+    f"graph{ISAM2}": (
+        "online",
+        lambda track, model: track_online(track, model, engine="isam2", lag=LAG, constants="default"),
+    ),
     "ffbs": ("offline", lambda track, model: particle_smoother(track, model, options=PATHS).track),
-    "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
+    "smoother": (
+        "offline",
+        lambda track, model: smooth(TrackSet((track,)), model, constants="default").tracks[0],
+    ),
 }
 """Method → group and estimator: Chen et al.'s filter and the graph, then their smoothers."""
 

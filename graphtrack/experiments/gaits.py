@@ -36,9 +36,11 @@ MEASURES = ("body (°)", "head (°)", "position (m)")
 CHAIN, PARTICLES = "online, chain", "online, particles"
 
 ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
-    "offline": lambda tracks, preset: smooth(tracks, preset).tracks,
-    CHAIN: lambda tracks, preset: [track_online(track, preset) for track in tracks],
-    "online, isam2": lambda tracks, preset: [track_online(track, preset, engine="isam2") for track in tracks],
+    "offline": lambda tracks, preset: smooth(tracks, preset, constants="default").tracks,
+    CHAIN: lambda tracks, preset: [track_online(track, preset, constants="default") for track in tracks],
+    "online, isam2": lambda tracks, preset: [
+        track_online(track, preset, engine="isam2", constants="default") for track in tracks
+    ],
     PARTICLES: lambda tracks, preset: [particle_filter(track, preset).track for track in tracks],
 }
 """Ways to estimate; iSAM2 has the first draw of the noise alone, and online there is every other clip."""

@@ -513,7 +513,7 @@ def graph_predictions(
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Name, one-step predictions (n, 2) and log-likelihoods (n,) of each graph, online, by both engines."""
     for (name, model), (ending, engine) in product(graphs.items(), ENGINES.items()):
-        estimate = track_online(track, model, engine=engine, lag=LAG)
+        estimate = track_online(track, model, engine=engine, lag=LAG, constants="default")
         yield (name + ending, *one_step_ahead(estimate, track, model))
 
 
@@ -533,7 +533,7 @@ def from_the_past(track: Track, model: Model, frames: NDArray[np.intp]) -> Track
     n = len(track)
     position, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
     head, covariance = np.full(n, np.nan), np.full((n, 6, 6), np.nan)
-    for k, solution in zip(frames.tolist(), solve(numbered, model), strict=True):
+    for k, solution in zip(frames.tolist(), solve(numbered, model, constants="default"), strict=True):
         if isinstance(solution, Solution):
             estimate = solution.track
             position[k] = estimate.position[-1]

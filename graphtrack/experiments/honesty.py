@@ -46,8 +46,8 @@ CLIPS, FEW = 62, 6
 LEAST_FRAMES = 4
 
 ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
-    "offline": lambda tracks, preset: smooth(tracks, preset).tracks,
-    "online": lambda tracks, preset: [track_online(track, preset) for track in tracks],
+    "offline": lambda tracks, preset: smooth(tracks, preset, constants="default").tracks,
+    "online": lambda tracks, preset: [track_online(track, preset, constants="default") for track in tracks],
 }
 
 

@@ -2,6 +2,6 @@
 
 from graphtrack.inference.engines import Failure, Solution, SolverOptions
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.inference.online import Estimate
 
-__all__ = ["Estimate", "Failure", "OnlineSmoother", "Solution", "SolverOptions", "smooth_track"]
+__all__ = ["Estimate", "Failure", "Solution", "SolverOptions", "smooth_track"]

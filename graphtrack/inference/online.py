@@ -1,4 +1,4 @@
-"""The online smoother: one person, one observation at a time, out-of-sequence and repeated ones included.
+"""The online solver: one person, one observation at a time, out-of-sequence and repeated ones included.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
 GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
@@ -50,7 +50,7 @@ from graphtrack.inference.state import (
 )
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
-from graphtrack.model.observation import seconds_between
+from graphtrack.model.observation import OwnParameters, seconds_between
 from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
@@ -108,10 +108,8 @@ _PROMISED_DECREASE = 1e-8
 """Relative change of the cost below which the chain engine takes no further Newton step."""
 
 
-class OnlineSmoother:
-    """Track one person online.
-
-    The first call on a machine compiles, which takes about half a minute; see `warm_up`.
+class OnlineSolver:
+    """Solve the model of one person online, with given parameters; see `constants.online.OnlineSmoother`.
 
     Parameters
     ----------
@@ -128,13 +126,6 @@ class OnlineSmoother:
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
         than this (metres, m/s, radians); the default mostly takes one or two steps, without larger errors
     max_iterations : most steps for an observation
-
-    Examples
-    --------
-    >>> smoother = OnlineSmoother("joint", lag=2.0)
-    >>> estimate = smoother.update(Observation(t=0.0, position=(1.0, 2.0), head=0.3))
-    >>> estimate.status
-    'new'
     """
 
     def __init__(
@@ -196,15 +187,16 @@ class OnlineSmoother:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
-        return partial(OnlineSmoother.from_state, **self._again), (self.state(),)
+        return partial(OnlineSolver.from_state, **self._again), (self.state(),)
 
     def __repr__(self) -> str:
-        return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
+        return f"OnlineSolver({', '.join(f'{name} {value}' for name, value in self.described().items())})"
 
     def _repr_html_(self) -> str:
-        return html_pairs("OnlineSmoother", {**self._described(), "last": self._last})
+        return html_pairs("OnlineSolver", {**self.described(), "last": self._last})
 
-    def _described(self) -> dict[str, object]:
+    def described(self) -> dict[str, object]:
+        """Return the model, the engine and the window, for display."""
         times = self.window
         window = "empty" if times is None else f"{times[0]:.1f}–{times[1]:.1f} s"
         lag = f"{self.lag:g} s" if self.lag < math.inf else "none"
@@ -212,19 +204,21 @@ class OnlineSmoother:
 
     # -- the public face -----------------------------------------------------------------------------------
 
-    def update(self, observation: Observation) -> Estimate:
+    def update(self, observation: Observation, own: OwnParameters | None = None) -> Estimate:
         """Add one observation and return the estimate at the latest time.
+
+        ``own``: parameters of a new step in place of the model's; a late one has those of the step before.
 
         Raises
         ------
         InputError
             If a time or value is not a number within bounds. The state is then unchanged.
         """
-        self._note_unused(observation)
-        (estimate,) = self.update_together([self], [self.usable(observation)])
+        self.note_unused(observation)
+        (estimate,) = self.update_together([self], [self.usable(observation)], own=[own])
         return estimate
 
-    def _note_unused(self, observation: Observation) -> None:
+    def note_unused(self, observation: Observation) -> None:
         """Warn once of each channel that an observation has and the model does not use."""
         for name in self._unused:
             if getattr(observation, name, None) is not None:
@@ -245,11 +239,13 @@ class OnlineSmoother:
 
     @staticmethod
     def update_together(
-        smoothers: Sequence[OnlineSmoother],
+        smoothers: Sequence[OnlineSolver],
         observations: Sequence[Observation],
         threads: ThreadPoolExecutor | None = None,
+        own: Sequence[OwnParameters | None] | None = None,
     ) -> list[Estimate]:
-        """Make each smoother's `update`, of observations as from `usable`; ``threads`` run compiled code."""
+        """Make each solver's `update`, of observations as from `usable`; ``threads`` run compiled code."""
+        given = [None] * len(smoothers) if own is None else own
         observations = _with_walls(smoothers, observations)
         estimates: list[Estimate | None] = [None] * len(smoothers)
         ahead: list[tuple[int, ChainWindow, Step]] = []
@@ -258,21 +254,21 @@ class OnlineSmoother:
             # A window needs no link to its newest step.
             dt = observation.t - before[-1].observation.t if before else 0.0
             if dt >= SAME_TIME and isinstance(window, ChainWindow):
-                step = Step(smoother._next_index, observation, None, dt, False, smoother.camera)
+                step = Step(smoother._next_index, observation, None, dt, False, smoother.camera, given[k])
                 ahead.append((k, window, step))
             else:
-                estimates[k] = smoother._take(observation)
+                estimates[k] = smoother._take(observation, given[k])
         found = extend_together([window for _, window, _ in ahead], [step for *_, step in ahead], threads)
         for (k, _, _), newest in zip(ahead, found, strict=True):
             estimates[k] = smoothers[k]._extended(newest, observations[k])
         return estimates  # type: ignore[return-value]  # none is left out
 
-    def _take(self, observation: Observation) -> Estimate:
+    def _take(self, observation: Observation, own: OwnParameters | None) -> Estimate:
         steps = self._smoother.steps
         if not steps and observation.position is None:
             return self._waiting(observation)
         if not steps or observation.t - steps[-1].observation.t >= SAME_TIME:
-            return self._append(observation)
+            return self._append(observation, own)
         return self._work_in(observation)
 
     def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
@@ -300,7 +296,9 @@ class OnlineSmoother:
                     continue
                 previous = steps[-1].alone()
                 dt = seconds_between(previous, observation)
-                steps.append(Step(self._next_index, observation, previous, dt, False, self.camera))
+                steps.append(
+                    Step(self._next_index, observation, previous, dt, False, self.camera, previous.own)
+                )
                 state = states[-1].copy()
                 state[:2] += dt * state[2:4]
                 states.append(known.get(observation.t, state))
@@ -311,6 +309,24 @@ class OnlineSmoother:
             return self._failed(latest, error)
         self._parts = parts
         return self._estimate(newest, latest, "late")
+
+    def with_couplings(self, motion_body_kappa: float, head_body_kappa: float) -> Estimate | None:
+        """Solve the window again with other couplings of its steps' own parameters; return the estimate."""
+        window = self._smoother.window()
+        if not window.steps:
+            return None
+        steps: list[Step] = []
+        for step in window.steps:
+            own = step.own and step.own._replace(
+                motion_body_kappa=motion_body_kappa, head_body_kappa=head_body_kappa
+            )
+            steps.append(replace(step, own=own, previous=steps[-1].alone() if steps else None))
+        latest = steps[-1].observation
+        try:
+            newest = self._smoother.rework(replace(window, steps=tuple(steps)))
+        except FAILURES as error:
+            return self._failed(latest, error)
+        return self._estimate(newest, latest, "new")
 
     def _with_parts(self, step: Step, observations: Parts, parts: dict[int, Parts]) -> Step:
         """Return a step with the product of some observations of its time, which are noted in ``parts``."""
@@ -354,7 +370,7 @@ class OnlineSmoother:
     @classmethod
     def from_state(
         cls, state: dict[str, Any], model: Model | str | Path | None = None, **options: Any
-    ) -> OnlineSmoother:
+    ) -> OnlineSolver:
         """Restore a smoother from `state`, given the same model and options.
 
         Its estimates are bit-identical where both engines are chain or fixed-lag; else they are those of a
@@ -392,11 +408,11 @@ class OnlineSmoother:
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _append(self, observation: Observation) -> Estimate:
+    def _append(self, observation: Observation, own: OwnParameters | None) -> Estimate:
         steps, smoother = self._smoother.steps, self._smoother
         previous = steps[-1].alone() if steps else None
         dt = seconds_between(previous, observation)
-        step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
+        step = Step(self._next_index, observation, previous, dt, previous is None, self.camera, own)
         try:
             before = smoother.states(1)[0] if steps else None
             return self._extended(smoother.extend(step, predicted(step, before)), observation)
@@ -422,7 +438,8 @@ class OnlineSmoother:
             return self.unchanged(observation, "too-late")
         parts = dict(self._parts)
         try:
-            template = Step(self._next_index, observation, camera=self.camera)
+            near_by = steps[max(place - 1, 0)]
+            template = Step(self._next_index, observation, camera=self.camera, own=near_by.own)
             if not inserted:
                 place, same = nearest, steps[nearest]
                 known = parts.get(same.index, (same.observation,))
@@ -489,7 +506,7 @@ class OnlineSmoother:
 
 
 def _with_walls(
-    smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
+    smoothers: Sequence[OnlineSolver], observations: Sequence[Observation]
 ) -> Sequence[Observation]:
     """Return each smoother's observation with the walls near it, found for all at once."""
     if all(one._walkable is None for one in smoothers):
@@ -506,7 +523,7 @@ def _with_walls(
     return found
 
 
-def _place(smoother: OnlineSmoother, observation: Observation) -> Sequence[float]:
+def _place(smoother: OnlineSolver, observation: Observation) -> Sequence[float]:
     """Return the observed position or, without one, that of the last estimate; NaN before the first."""
     if observation.position is not None:
         return observation.position

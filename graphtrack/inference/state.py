@@ -16,7 +16,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import CHANNELS
+from graphtrack.model.observation import CHANNELS, OwnParameters
 from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.packages import gtsam
 from graphtrack.saved import DAMAGES, check_numbers, damaged, integer, pack_tree, real, unpack_tree
@@ -380,6 +380,7 @@ def pack_state(saved: SavedState) -> dict[str, Any]:
     steps = [
         {name: getattr(step, name) for name in ("index", "starts", "dt")}
         | {"observation": pack_observation(step.observation)}
+        | ({} if step.own is None else {"own": list(step.own)})
         for step in window.steps
     ]
     arrays = {
@@ -437,7 +438,8 @@ def _unpack_window(state: dict[str, Any], camera: GroundCamera | None) -> Window
             raise TypeError(f"starts = {entry['starts']!r}")
         if steps and not observation.t > steps[-1].observation.t:
             raise ValueError("steps that are not in order")
-        steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera))
+        own = None if entry.get("own") is None else OwnParameters(*map(real, entry["own"]))
+        steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera, own))
     saved = unpack_tree(state["window"])
     prior, anchor, modes = saved["prior"], saved["anchor"], saved["modes"]
     if prior is not None:

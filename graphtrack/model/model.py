@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
 from graphtrack.model.factors import COUPLED, Couplings
-from graphtrack.model.observation import States, Step
+from graphtrack.model.observation import OwnParameters, States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import (
     LikelihoodParameters,
@@ -95,7 +95,7 @@ def default_parameters(preset: str) -> Parameters:
     return preset_parameters.get(preset, Parameters())
 
 
-BEST_PRESET = "full"  # The default preset
+BEST_PRESET = "joint"  # The default preset
 
 
 class Model:
@@ -172,6 +172,10 @@ class Model:
         """The same terms and parameters, with the known parameters of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)
 
+    def with_own(self, own: OwnParameters) -> Model:
+        """The same model with a person's own parameters."""
+        return self.with_parameters(self.parameters.with_values(own.named()))
+
     def has_term(self, kind: type[Term]) -> bool:
         """Return True if a term of the model is of that kind."""
         return any(isinstance(term, kind) for term in self.terms)
@@ -196,6 +200,8 @@ class Model:
 
     def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
         """All factors of a step; ``couplings`` are those that the modes set."""
+        if step.own is not None:
+            return self.with_own(step.own).factors(replace(step, own=None), couplings)
         for term in self.terms:
             if term.is_compiled:
                 vars(term).setdefault("packer", self.packer)

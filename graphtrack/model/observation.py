@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,6 +77,30 @@ def _present(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
     return present
 
 
+class OwnParameters(NamedTuple):
+    """Parameters of one person that hold in place of the model's."""
+
+    acceleration_density: float
+    body_diffusion: float
+    head_diffusion: float
+    motion_body_kappa: float
+    head_body_kappa: float
+
+    def named(self) -> dict[str, float]:
+        """Return the values by the names of parameters, as ``group.key``."""
+        return dict(zip(OWN, self, strict=True))
+
+
+OWN = (
+    "motion.acceleration_density",
+    "orientation.body_diffusion",
+    "orientation.head_diffusion",
+    "coupling.motion_body_kappa",
+    "coupling.head_body_kappa",
+)
+"""Parameters that people can have of their own, in the order of `OwnParameters`."""
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """One frame of the chain.
@@ -90,6 +114,7 @@ class Step:
         first step with a dt.
     starts : True where the velocity prior applies (at the first step with a position)
     camera : camera of the scene, for the pixel likelihood
+    own : parameters in place of the model's
     """
 
     index: int
@@ -98,12 +123,13 @@ class Step:
     dt: float | None = None
     starts: bool = False
     camera: GroundCamera | None = None
+    own: OwnParameters | None = None
 
     def alone(self) -> Step:
         """The step without the link to the previous one, which would keep the whole past in memory."""
         if self.previous is None:
             return self
-        return Step(self.index, self.observation, None, self.dt, self.starts, self.camera)
+        return Step(self.index, self.observation, None, self.dt, self.starts, self.camera, self.own)
 
     @property
     def is_ambiguous(self) -> bool:

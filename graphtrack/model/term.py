@@ -35,6 +35,7 @@ class Term(ABC):
     fields, shared : fields of each frame, and fields shared by all frames; `pack` fills them in
     kernels : the compiled functions of the term
     reads : the parameters that it reads, as ``group.key``; None: undeclared, so that none is learned
+    scaled : fields that are proportional to a power of a parameter: field, ``group.key``, power
     repeats : True if frames with equal observations and time steps have equal packings except for `live`;
         packings are then cached online
     """
@@ -44,6 +45,7 @@ class Term(ABC):
     shared: ClassVar[tuple[Field, ...]] = ()
     kernels: ClassVar[tuple[Kernel, ...]] = ()
     reads: ClassVar[tuple[str, ...] | None] = None
+    scaled: ClassVar[tuple[tuple[str, str, float], ...]] = ()
     repeats: ClassVar[bool] = False
 
     def __init__(self, parameters: Parameters) -> None:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.constants.commons import commons_of
+from graphtrack.constants.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
 from graphtrack.io.formats.ros_bag import IDS, SECOND, Frame, frame_of, sightings_of
@@ -214,6 +215,7 @@ class Live:
         self._tracker: OnlineTracker | None = None
         self._frames = _Frames()
         self._named: dict[str, tuple[int, OnlineSmoother]] = {}
+        self._commons = commons_of(None, self._model)
         self._numbers = 0
         self._behaviour = (OnlineGroups(), OnlineAttention()) if self._behaves else None
         self._reported: tuple[dict[str, list[str]], list[tuple[str, str]]] = ({}, [])
@@ -316,9 +318,15 @@ class Live:
             number, smoother = self._named.get(name, (0, None))
             last = None if smoother is None else smoother.last
             if smoother is None or last is None or last.t < t - _GONE:
+                if smoother is not None and self._commons is not None:
+                    self._commons.leave(smoother.learner)
                 smoother, self._numbers = OnlineSmoother(self._model, lag=self._lag), self._numbers + 1
                 number = self._numbers
             self._named[name] = number, smoother
+            if self._commons is not None:
+                if self._commons.is_due(t):
+                    self._commons.refresh(t, {n: one.learner for n, one in self._named.values()})
+                self._commons.inform(smoother.learner)
             status = smoother.update(one).status
             if status in ("too-late", "duplicate"):
                 self._drop(_BEYOND_LAG if status == "too-late" else _REPEATED)
@@ -326,7 +334,9 @@ class Live:
                 used += 1
         gone = [n for n, (_, one) in self._named.items() if one.last is None or one.last.t < now - _GONE]
         for name in gone:
-            del self._named[name]
+            _, left = self._named.pop(name)
+            if self._commons is not None:
+                self._commons.leave(left.learner)
         if names and not used:
             return None
         density = self._model.parameters.motion.acceleration_density

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from graphtrack.constants.personal import Constants, is_learned, known_constants
+from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
@@ -21,10 +24,12 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
 from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
-from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch
+from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch, tracks_of_batch
+from graphtrack.smoothing import learn_constants
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import in_order
 from graphtrack.tracks.table import check_names
+from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import INPUT, Speeds
 
 
@@ -55,6 +60,10 @@ class Outcome:
         return self.n_tracks - len(self.failures)
 
 
+LEARNED_ON = 50_000
+"""Rows from which the population of a data set is learned, in batches of `smooth_dataset`: about so many."""
+
+
 class _NothingSmoothed(Exception):
     """Every track failed; the empty output is discarded."""
 
@@ -72,6 +81,7 @@ def smooth_dataset(
     read_options: ReadOptions | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    constants: Constants | None = None,
 ) -> Outcome:
     """Smooth a Parquet data set offline, track by track, into one Parquet file.
 
@@ -91,6 +101,8 @@ def smooth_dataset(
     select : patterns as in `TrackSet.select`; empty: all tracks
     read_options : frame rate and camera
     progress : called with the numbers of rows that are done
+    constants : as in `graphtrack.solve`. The population is learned from the first `LEARNED_ON` rows, and
+        written beside the output, as ``NAME.constants.toml``
 
     Raises
     ------
@@ -135,6 +147,7 @@ def smooth_dataset(
     try:
         with atomic_path(output) as temporary:
             given = labelled(temporary.parent)
+            work, given, population = _with_constants(dataset, work, given, constants)
             shards = (
                 map(partial(smooth_batch, work), given)
                 if cluster is None
@@ -143,9 +156,31 @@ def smooth_dataset(
             outcome = _write(dataset, shards, temporary, work, notes, progress)
             if not outcome.n_smoothed:
                 raise _NothingSmoothed
+            if population is not None:
+                population.save(output.with_suffix(".constants.toml"))
     except _NothingSmoothed:
         pass
     return outcome
+
+
+def _with_constants(
+    dataset: Dataset, work: Work, given: Iterator[Batch], constants: Constants | None
+) -> tuple[Work, Iterator[Batch], Population | None]:
+    """Return the work with the constants, the batches, and the population if it was learned from them."""
+    known = known_constants(constants)
+    if known == "default" or not is_learned(known, work.model):
+        return replace(work, constants=known), given, None
+    if isinstance(known, Population):
+        return replace(work, constants=known), given, None
+    first: list[Batch] = []
+    tracks: list[Track] = []
+    with dataset.located():
+        while sum(map(len, tracks)) < LEARNED_ON and (batch := next(given, None)) is not None:
+            first.append(batch)
+            tracks += tracks_of_batch(work, batch)[0].tracks
+    some = TrackSet(tuple(tracks), camera=work.read_options.camera)
+    population, _ = learn_constants(some, work.model, jobs=work.jobs)
+    return replace(work, constants=population), chain(first, given), population
 
 
 def _write(

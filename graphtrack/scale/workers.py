@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constants.personal import Known
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.engines import Failure, OfflineEngine, Solution, SolverOptions
@@ -48,6 +49,7 @@ class Work:
     select : patterns of the tracks to smooth; empty: all
     model, engine, jobs, options : as in `graphtrack.solve`
     n_frames : person-frames of all batches
+    constants : as in `graphtrack.solve`
     version : of this package, where the job was started
     """
 
@@ -60,6 +62,7 @@ class Work:
     jobs: int | None
     options: SolverOptions
     n_frames: int
+    constants: Known = None
     version: str = version("graphtrack")
 
 
@@ -108,19 +111,20 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     here = version("graphtrack")
     if here != work.version:
         raise InputError(f"graphtrack {here} on a worker", f"{work.version}, as where the job was started")
-    rows, n_sorted = _in_order(batch.rows)
-    native = rows_of_block(work.path, work.columns, rows, work.read_options.fps, batch.labels)
-    tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
-    speeds = tracks.speeds
-    if work.select:
-        tracks = tracks.select(*work.select)
+    tracks, n_rows, n_sorted, speeds = tracks_of_batch(work, batch)
     found = solve_tracks(
-        tracks, work.model, work.engine, jobs=work.jobs, options=work.options, n_frames=work.n_frames
+        tracks,
+        work.model,
+        work.engine,
+        jobs=work.jobs,
+        options=work.options,
+        n_frames=work.n_frames,
+        constants=work.constants,
     )
     good = [result for result in found if isinstance(result, Solution)]
     return Shard(
         to_columns(replace(tracks, tracks=tuple(result.track for result in good))),
-        len(rows),
+        n_rows,
         len(tracks),
         n_sorted,
         tuple(result for result in found if isinstance(result, Failure)),
@@ -128,6 +132,17 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         (*tracks.summary.notes, *notes_on(tracks.tracks, work.model, tracks.camera)),
         speeds,
     )
+
+
+def tracks_of_batch(work: Work, batch: Batch) -> tuple[TrackSet, int, int, Speeds]:
+    """Return the chosen tracks of a batch, its rows, the tracks that were not in order, and the speeds."""
+    rows, n_sorted = _in_order(batch.rows)
+    native = rows_of_block(work.path, work.columns, rows, work.read_options.fps, batch.labels)
+    tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
+    speeds = tracks.speeds
+    if work.select:
+        tracks = tracks.select(*work.select)
+    return tracks, len(rows), n_sorted, speeds
 
 
 def _in_order(rows: FloatArray) -> tuple[FloatArray, int]:

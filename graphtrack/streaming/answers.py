@@ -14,10 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from graphtrack.association.tracker import descriptors_of
+from graphtrack.constants.commons import Commons
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.state import Estimate, checked, pack_observation, unpack_observation
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS
@@ -236,6 +237,7 @@ class TrackAnswers(Answering):
     of_scene : makes the other members: `EndedFrames` if groups, attention or forecasts are requested, and
         `Conversations` of a model with groups
     unused : as in `UnknownKeys`
+    commons : what people have in common, where constants are learned
 
     Attributes
     ----------
@@ -251,20 +253,25 @@ class TrackAnswers(Answering):
         bounds: StreamBounds = StreamBounds(),
         of_scene: Callable[[], dict[str, Saved]] = dict,
         unused: Collection[str] = (),
+        commons: Commons | None = None,
     ) -> None:
         super().__init__(fps, note, unused=unused)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
+        self._commons = commons
         self._waiting = dict[int, _Waiting]()
         self.clock = StreamClock(bounds.jump)
         self.members = of_scene()
 
     def shared_state(self) -> dict[str, Any]:
-        """Return the state of the clock."""
-        return self.clock.state()
+        """Return the state of the clock, and what people have in common."""
+        common = {} if self._commons is None else {"commons": self._commons.state()}
+        return {"clock": self.clock.state(), **common}
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
-        self.clock.restore(state)
+        self.clock.restore(state["clock"])
+        if self._commons is not None:
+            self._commons.restore(state["commons"])
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
         """Return the answers to each of some lines, the same as one by one.
@@ -335,10 +342,18 @@ class TrackAnswers(Answering):
             self._take_waiting()
             for one in gone:
                 self.before_change(one)
-                del self.members[one]
+                left = self.members.pop(one)
+                if self._commons is not None:
+                    self._commons.leave(left.learner)
         if track_id in self._waiting or track_id not in self.members:
             self._take_waiting()
+        if self._commons is not None and self._commons.is_due(observation.t):
+            self._take_waiting()
+            present = {key: one.learner for key, one in self.members.items() if type(key) is int}
+            self._commons.refresh(observation.t, present)
         smoother = self._smoother(track_id)
+        if self._commons is not None:
+            self._commons.inform(smoother.learner)
         self.clock.mark(track_id)
         if CONVERSATIONS in self.members:
             self.before_change(CONVERSATIONS)

@@ -28,9 +28,9 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.io.atomic import flush_entry
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.model import Model

@@ -18,12 +18,15 @@ from typing import IO, Any
 import numpy as np
 
 from graphtrack.association.offline import make_association_ready
+from graphtrack.constants.commons import commons_of
+from graphtrack.constants.online import OnlineSmoother
+from graphtrack.constants.personal import Known
+from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, make_forecasts_ready, times_ahead
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.attention import make_attention_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
@@ -71,7 +74,7 @@ class Answers:
     horizon : (seconds, step) of forecasts to report; None: no forecasts
     asked : groups and attention to report; None: neither
     bounds : limits of what is kept
-    walkable : as in `OnlineSmoother`
+    walkable, constants : as in `OnlineSmoother`
     """
 
     model: Model
@@ -84,6 +87,7 @@ class Answers:
     asked: Asked | None = None
     bounds: StreamBounds = field(default_factory=StreamBounds)
     walkable: WalkableArea | None = None
+    constants: Known = None
 
     @property
     def chosen_engine(self) -> str:
@@ -97,6 +101,7 @@ class Answers:
             "lag": self.lag,
             "camera": self.camera,
             "walkable": self.walkable,
+            "constants": self.constants,
         }
 
     def people(self, note: Callable[[str], None] = ignore) -> TrackAnswers:
@@ -108,6 +113,7 @@ class Answers:
             self._bounds,
             self._of_scene,
             unused_columns(self.model, self.camera),
+            commons_of(self.constants, self.model),
         )
 
     @property
@@ -167,6 +173,9 @@ class Answers:
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
         found["forget_after"] = self.bounds.forget_after
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
+        if self.constants is not None:
+            known = self.constants
+            found["constants"] = known.to_dict() if isinstance(known, Population) else known
         found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         return found | ({} if self.asked is None else self.asked.settings())
 

@@ -136,7 +136,9 @@ def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
 
 
 def _online(person: ObservedPerson, model: Model, engine: Literal["chain", "isam2"]) -> Track:
-    return track_online(person.causal, model, engine=engine, lag=LAG, camera=person.camera)
+    return track_online(
+        person.causal, model, engine=engine, lag=LAG, camera=person.camera, constants="default"
+    )
 
 
 _SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter lacks the coupling modes of ``full``

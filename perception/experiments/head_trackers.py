@@ -73,7 +73,7 @@ def graph_on_top(
     """
     followed = [Followed(k, estimate, True) for k, estimate in enumerate(estimates)]
     observed = to_track(followed, boxes, pan_classes, fps)
-    smoothed = smooth(TrackSet((observed,)), model).tracks[0]
+    smoothed = smooth(TrackSet((observed,)), model, constants="default").tracks[0]
     found = np.asarray(np.isfinite(observed.position).all(axis=1))
     middle = np.array([estimate.centre for estimate in estimates])
     height = np.array([estimate.box[3] for estimate in estimates])

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import logit
 
 from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import Estimate, OnlineSmoother
+from graphtrack.inference import Estimate
 from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters, steady
 from perception.follow.ground import BoxCamera

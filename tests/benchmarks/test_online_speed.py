@@ -11,7 +11,7 @@ import pytest
 from walks import walk
 
 from graphtrack import simulate
-from graphtrack.inference import OnlineSmoother
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.inference.state import variable_keys
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import Step, chain, observations

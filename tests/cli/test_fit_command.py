@@ -80,7 +80,7 @@ def test_a_scene_is_learned_told_written_and_used(here: Path, source: str, how: 
     assert "no head observed: not learned" in done.stdout
     assert f"people {how}" in done.stderr and "wrote place.html" in done.stderr
     model = gt.Model.load("place.toml")
-    assert model.preset == "full"
+    assert model.preset == "joint"
     assert model.to_dict() == json.loads((here / "place.json").read_text("utf-8"))["model"]
     assert 0.7 < model.scene["detection_probability"] < 0.95
     assert "Gain" in (here / "place.html").read_text("utf-8")

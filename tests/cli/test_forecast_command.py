@@ -11,10 +11,10 @@ import pytest
 from command import run
 
 import graphtrack as gt
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming import session

@@ -216,7 +216,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--fps": "10"}, "fps = 25.0, expected one with fps = 10.0"),
         ({"--lag": "2"}, "lag = 1.0, expected one with lag = 2.0"),
         ({"--lag": "none", "--engine": "isam2"}, "expected one with "),
-        ({"--model": "full"}, 'model.preset = "joint", expected one with model.preset = "full"'),
+        ({"--model": "separate"}, 'model.preset = "joint", expected one with model.preset = "separate"'),
         ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
         ({"--forecast": "2"}, "forecast"),
         ({"--forget-after": "30"}, "forget_after = 60.0, expected one with forget_after = 30.0"),

@@ -9,9 +9,9 @@ from crossing_people import street
 from hypothesis import given
 from hypothesis import strategies as st
 
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import Scenes, TrackAnswers

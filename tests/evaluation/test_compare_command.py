@@ -82,8 +82,8 @@ def test_a_model_that_no_method_knows_is_one_error(compare):
     assert {row["method"] for row in found["rows"]} == {"kf"}
 
 
-OWN = {"kf": "position", "intentional": "intentional", "particle": "joint", "chain": "full"}
-OWN |= {"fixed-lag": "full", "isam2": "full", "rts": "position", "ffbs": "joint", "smoother": "full"}
+OWN = {"kf": "position", "intentional": "intentional", "particle": "joint", "chain": "joint"}
+OWN |= {"fixed-lag": "joint", "isam2": "joint", "rts": "position", "ffbs": "joint", "smoother": "joint"}
 OWN |= {"intentional-printed": "", "intentional-consistent": ""}  # no model, parameters of their paper
 
 
@@ -91,4 +91,4 @@ def test_each_method_has_its_best_model_and_the_table_and_caption_say_which(comp
     status, said, found = compare(HEAD + rows(1, range(12)))
     assert status == 0 and not [record for record in found["per_track"] if record["failure"]]
     assert found["models"] == OWN == {row["method"]: row["model"] for row in found["rows"]}
-    assert "full for chain" in said and "joint for particle" in said
+    assert "position for kf" in said and "joint for particle" in said

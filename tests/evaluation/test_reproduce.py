@@ -152,7 +152,7 @@ def test_estimates_from_the_past_are_those_of_the_online_tracker() -> None:
     track = without(walk(25), "position", [9, 10, 11])
     frames = np.array([5, 10, 24])
     found = from_the_past(track, Model("joint"), frames)
-    online = track_online(track, "joint", lag=60.0)
+    online = track_online(track, "joint", lag=60.0, constants="default")
     np.testing.assert_allclose(found.position[frames], online.position[frames], atol=0.01)
     assert found.head is not None and online.head is not None
     np.testing.assert_allclose(found.head[frames], online.head[frames], atol=0.01)

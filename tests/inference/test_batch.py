@@ -286,7 +286,7 @@ def some_tracks() -> TrackSet:
 
 @EVERY_PRESET
 def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> None:
-    first, failed, last = solve(some_tracks(), preset)
+    first, failed, last = solve(some_tracks(), preset, constants="default")
     assert isinstance(failed, Failure) and failed.track_id == 7
     assert "no position" in failed.reason and isinstance(first, Solution)
     assert isinstance(last, Solution) and (first.track.track_id, last.track.track_id) == (1, 3)

@@ -10,7 +10,6 @@ from random_tracks import contradicted
 from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.covariance import pull_apart, sweep_pulls
 from graphtrack.inference.chain.initialisation import fill, pack, problem_of
@@ -26,6 +25,7 @@ from graphtrack.inference.chain.newton import (
 )
 from graphtrack.inference.chain.window_kernels import carry_over, memory_in, predict_newest, window_problem
 from graphtrack.inference.offline import smooth_track
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.layout import BODY, HEAD, Chain, Problem, Sums
 from graphtrack.model import LikelihoodParameters, Model, Parameters
@@ -106,14 +106,14 @@ def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:
 def test_a_step_that_is_as_old_as_the_lag_is_still_open(engine: str) -> None:
     track = walk(12, dt=0.25)
     track = replace(track, t=0.25 * np.arange(12))  # exact in binary
-    smoother = OnlineSmoother("joint", engine=engine, lag=1.0)
+    smoother = OnlineSolver("joint", engine=engine, lag=1.0)
     for seen in observations(track):
         smoother.update(seen)
     assert smoother.window == (1.75, 2.75)
 
 
 def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
-    smoother = OnlineSmoother("full", engine="chain", lag=1.0)
+    smoother = OnlineSolver("full", engine="chain", lag=1.0)
     seen = list(observations(replace(walk(15, dt=0.25), t=0.25 * np.arange(15))))  # exact in binary
     for one in seen[:-1]:
         smoother.update(one)

@@ -105,7 +105,7 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
     walks = [out_and_back(seed) for seed in range(30)]
     angle = math.radians(degrees)
     others = [turned(track, angle) for track in walks]
-    found = [smooth(TrackSet(them), preset).tracks for them in (walks, others)]
+    found = [smooth(TrackSet(them), preset, constants="default").tracks for them in (walks, others)]
     for one, other in zip(*found, strict=True):
         assert np.abs(difference(other.body - angle, one.body)).max() < SAME
         assert np.sum(difference(one.body[1:], one.body[:-1])) > 0.0  # counter-clockwise
@@ -113,7 +113,8 @@ def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
 
 def differences(people: gt.TrackSet, preset: str, lag: float = 10.0) -> np.ndarray:
     """Mean degrees between the last bodies and heads of whole tracks, and of the same online."""
-    whole, online = gt.smooth(people, preset), gt.track_online(people, preset, lag=lag)
+    whole = gt.smooth(people, preset, constants="default")
+    online = gt.track_online(people, preset, lag=lag, constants="default")
     found = []
     for one, other in zip(whole, online, strict=True):
         found.append([difference(one.body[-1], other.body[-1]), difference(one.head[-1], other.head[-1])])

@@ -35,7 +35,7 @@ GAIT = gait_of(Parameters().gait)
 
 
 def smoothed(tracks: TrackSet, model: str) -> list[Track]:
-    return [result.track for result in solve(tracks, model)]
+    return [result.track for result in solve(tracks, model, constants="default")]
 
 
 # People.

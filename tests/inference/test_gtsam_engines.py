@@ -13,7 +13,8 @@ from walks import people, walk
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from graphtrack.inference import OnlineSmoother, SolverOptions, smooth_track
+from graphtrack.inference import SolverOptions, smooth_track
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.model import LikelihoodParameters, Model, Parameters, Step, Term, presets
 from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import observations
@@ -25,9 +26,9 @@ CONVERGED: dict[str, Any] = {"relinearize_threshold": 1e-4, "step_tolerance": 1e
 
 def online(
     track: Track, model: Model | str, **options: Any
-) -> tuple[OnlineSmoother, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[OnlineSolver, np.ndarray, np.ndarray, np.ndarray]:
     """The smoother at the end, its estimates (n, 6), covariances (n, 6, 6), and modes (n, 2)."""
-    smoother = OnlineSmoother(model, **options)
+    smoother = OnlineSolver(model, **options)
     found = [smoother.update(observation) for observation in observations(track)]
     assert {estimate.status for estimate in found} == {"new"}
     states = [[*e.position, *e.velocity, e.body, e.head] for e in found]
@@ -96,9 +97,9 @@ def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
 @pytest.mark.parametrize("engine", ["auto", "chain", "fixed-lag"])
 def test_only_isam2_has_no_lag(engine: Any) -> None:
     with pytest.raises(InputError, match="isam2"):
-        OnlineSmoother("joint", engine=engine, lag=None)
-    assert "lag none" in repr(OnlineSmoother("joint", engine="isam2", lag=None))
-    assert OnlineSmoother("joint", engine="isam2").lag == OnlineSmoother("joint", engine=engine).lag
+        OnlineSolver("joint", engine=engine, lag=None)
+    assert "lag none" in repr(OnlineSolver("joint", engine="isam2", lag=None))
+    assert OnlineSolver("joint", engine="isam2").lag == OnlineSolver("joint", engine=engine).lag
 
 
 @pytest.mark.slow
@@ -119,7 +120,7 @@ def test_a_late_observation_far_back_in_a_window_is_followed_to_the_end() -> Non
     track, at = walk(200, seed=3, dt=0.02), np.arange(200) == 8
     track = replace(track, head=track.head + 3.0 * at, head_kappa=np.where(at, 500.0, 1.0))
     seen = list(observations(track))
-    smoother = OnlineSmoother("separate", engine="isam2", lag=20.0, **CONVERGED)
+    smoother = OnlineSolver("separate", engine="isam2", lag=20.0, **CONVERGED)
     assert [smoother.update(one).status for one in (*seen[:8], *seen[9:], seen[8])][-1] == "late"
     found = np.array([state for _, state in smoother.history()])
     batch = smooth_track(track, Model("separate"), options=EXACTLY).track
@@ -211,14 +212,14 @@ def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any
     seen = list(observations(side_stepping()))
     seen[40], seen[41] = seen[41], seen[40]
     options: dict[str, Any] = {"engine": engine, "lag": lag}
-    smoother = OnlineSmoother("full", **options)
+    smoother = OnlineSolver("full", **options)
     whole = [smoother.update(observation) for observation in seen]
     assert whole[41].status == "late"
-    smoother = OnlineSmoother("full", **options)
+    smoother = OnlineSolver("full", **options)
     for k, observation in enumerate(seen):
         found = smoother.update(observation)
         if k in (30, 50):
-            smoother = OnlineSmoother.from_state(smoother.state(), "full", **options)
+            smoother = OnlineSolver.from_state(smoother.state(), "full", **options)
     np.testing.assert_allclose(found.position, whole[-1].position, atol=1e-3)
     assert abs(difference(found.body, whole[-1].body)) < 1e-2
     assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
@@ -239,8 +240,8 @@ class Aside(Term):
 @GTSAM_ENGINES
 def test_a_term_without_a_kernel_pulls_beside_modes(engine: Any, lag: Any) -> None:
     track, model = side_stepping(0.5), Model("full", terms=[Aside])
-    with_it = [OnlineSmoother(m, engine=engine, lag=lag) for m in (model, Model("full"))]
+    with_it = [OnlineSolver(m, engine=engine, lag=lag) for m in (model, Model("full"))]
     for seen in observations(track):
         pulled, free = (smoother.update(seen) for smoother in with_it)
     assert abs(difference(pulled.head, 2.6)) < 0.5 * abs(difference(free.head, 2.6))
-    assert OnlineSmoother(model).engine == "isam2"  # the chain cannot follow it
+    assert OnlineSolver(model).engine == "isam2"  # the chain cannot follow it

@@ -93,11 +93,11 @@ def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int)
 
 def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks = tuple(walk(5 + k, seed=k, track_id=k, classes=k % 3 == 1) for k in range(2 * LANES))
-    one_by_one, done = gt.smooth(TrackSet(tracks), "joint"), []
+    one_by_one, done = gt.smooth(TrackSet(tracks), "joint", constants="default"), []
     monkeypatch.setattr(batch, "LARGE", 1)
-    beside = solve(TrackSet(tracks), "joint", progress=done.append)
+    beside = solve(TrackSet(tracks), "joint", constants="default", progress=done.append)
     assert sum(done) == sum(map(len, tracks))
-    (alone,) = solve(TrackSet(tracks[3:4]), "joint")  # the same to the last bit
+    (alone,) = solve(TrackSet(tracks[3:4]), "joint", constants="default")  # the same to the last bit
     assert (alone.cost, alone.iterations) == (beside[3].cost, beside[3].iterations)
     np.testing.assert_array_equal(alone.track.covariance, beside[3].track.covariance)
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):

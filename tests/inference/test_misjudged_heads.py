@@ -9,7 +9,7 @@ from scipy import special
 from walks import errors, people
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
-from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.couplings import BASE, BINS, NEAR, ROW, gait_of
@@ -110,10 +110,10 @@ def test_what_was_seen_by_a_classifier_stays_so_while_the_head_is_hidden() -> No
     hidden = np.arange(len(seen)) >= 60
     seen = replace(seen, head_likelihood=np.where(hidden[:, None], np.nan, seen.head_likelihood))
     rows = list(observations(seen))
-    smoother = OnlineSmoother("full", lag=1.0)
+    smoother = OnlineSolver("full", lag=1.0)
     for one in rows[:-1]:
         smoother.update(one)
-    again = OnlineSmoother.from_state(smoother.state(), "full", lag=1.0)
+    again = OnlineSolver.from_state(smoother.state(), "full", lag=1.0)
     expected, found = smoother.update(rows[-1]), again.update(rows[-1])
     assert abs(difference(expected.head, expected.body)) < np.radians(30.0)
     assert found.head == expected.head

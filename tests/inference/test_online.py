@@ -17,7 +17,8 @@ from graphtrack.baselines.kalman import kalman_filter
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track
+from graphtrack.inference import Estimate, SolverOptions, smooth_track
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.inference.state import MarginalPrior, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
@@ -36,7 +37,7 @@ EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 REBUILT = {"fixed-lag": 1e-10, "isam2": 5e-3}
 
 
-def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]:
+def run(smoother: OnlineSolver, seen: Sequence[Observation]) -> list[Estimate]:
     return [smoother.update(observation) for observation in seen]
 
 
@@ -100,7 +101,7 @@ def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, c
         far = []
         for track in tracks:
             batch = smooth_track(track, model, options=EXACTLY).track
-            smoother = OnlineSmoother(model, engine="fixed-lag", lag=lag, **CONVERGED)
+            smoother = OnlineSolver(model, engine="fixed-lag", lag=lag, **CONVERGED)
             last = run(smoother, list(observations(track)))[-1]
             row = np.array([*last.position, *last.velocity, last.body, last.head])
             far.append(np.abs(differences([(last.t, row)], batch)).max())
@@ -123,7 +124,7 @@ def test_pixels_are_tracked_as_the_batch_smoother_does(engine: Any, known_positi
     assert np.isfinite(pixel).all()
     track = replace(track, pixel=pixel, position=camera.image_to_ground(pixel))
     batch = smooth_track(track, Model("joint"), camera, EXACTLY).track
-    smoother = OnlineSmoother("joint", engine=engine, lag=100.0, camera=camera, **CONVERGED)
+    smoother = OnlineSolver("joint", engine=engine, lag=100.0, camera=camera, **CONVERGED)
     seen = [o if known_position else replace(o, position=None) for o in observations(track)]
     assert {e.status for e in run(smoother, seen)} == {"new"}
     bound = 0.02 if engine == "isam2" else 1e-5
@@ -136,7 +137,7 @@ def test_pixels_are_tracked_as_the_batch_smoother_does(engine: Any, known_positi
 @EVERY_ENGINE
 @EVERY_PRESET
 def test_frames_without_observations_extrapolate_and_grow_uncertain(engine: Any, preset: str) -> None:
-    smoother = OnlineSmoother(preset, engine=engine, lag=1.0)
+    smoother = OnlineSolver(preset, engine=engine, lag=1.0)
     seen = list(observations(walk(20)))
     before = run(smoother, seen)[-1]
     silent = [Observation(t=seen[-1].t + 0.1 * k) for k in range(1, 30)]
@@ -158,7 +159,7 @@ def test_a_person_who_enters_without_a_position_waits_for_one(engine: Any) -> No
     track = walk(25, seed=11)
     seen = list(observations(track))
     entering = [replace(o, position=None) for o in seen[:4]]
-    smoother, fresh = (OnlineSmoother("joint", engine=engine) for _ in range(2))
+    smoother, fresh = (OnlineSolver("joint", engine=engine) for _ in range(2))
     for e in run(smoother, entering):
         assert e.status == "waiting" and np.isnan([*e.position, *e.velocity, e.body, e.head]).all()
         assert np.isnan(e.covariance).all()
@@ -187,7 +188,7 @@ def test_late_observations_end_where_punctual_ones_do(engine: Any, preset: str) 
     track = walk(20, seed=9, noise=0.1, angle_kappa=8.0)
     seen = list(observations(track))
     options: dict[str, Any] = {"engine": engine, "lag": 1.0, "relinearize_threshold": 1e-6} | CONVERGED
-    punctual, late = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    punctual, late = OnlineSolver(preset, **options), OnlineSolver(preset, **options)
     run(punctual, seen[:8])
     shuffled = [seen[k] for k in (0, 2, 1, 5, 4, 3, 7, 6)]
     statuses = [e.status for e in run(late, shuffled)]
@@ -200,7 +201,7 @@ def test_late_observations_end_where_punctual_ones_do(engine: Any, preset: str) 
 def test_a_late_observation_after_the_window_has_moved_equals_the_kalman_filter(engine: Any) -> None:
     track = replace(walk(40, seed=9, uneven=True), body=None, head=None)
     seen = list(observations(track))
-    smoother = OnlineSmoother("position", engine=engine, lag=1.0)
+    smoother = OnlineSolver("position", engine=engine, lag=1.0)
     run(smoother, [o for k, o in enumerate(seen[:36]) if k != 33])
     found = smoother.update(seen[33])
     expected = kalman_filter(track)
@@ -214,7 +215,7 @@ def test_a_late_observation_after_the_window_has_moved_equals_the_kalman_filter(
 @EVERY_ENGINE
 def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
     seen = list(observations(walk(40, seed=13)))
-    smoother, plain = (OnlineSmoother("joint", engine=engine, lag=1.0) for _ in range(2))
+    smoother, plain = (OnlineSolver("joint", engine=engine, lag=1.0) for _ in range(2))
     start = seen[0].t
     for observation in seen:
         estimate = smoother.update(observation)
@@ -285,7 +286,7 @@ def test_a_failed_update_is_reported_and_leaves_no_trace(
     model = Model("joint", terms=[Failing])
     seen = list(observations(walk(32, seed=14)))
     lag = None if whole and engine == "isam2" else 1.0
-    smoother, plain = (OnlineSmoother(model, engine=engine, lag=lag) for _ in range(2))
+    smoother, plain = (OnlineSolver(model, engine=engine, lag=lag) for _ in range(2))
     before = run(smoother, seen[:after])
     run(plain, seen[:after])
     times = [seen[after].t - 0.05]  # new, as new after all steps have left the window, and late
@@ -308,7 +309,7 @@ def test_a_factor_that_breaks_later_is_rolled_back_too(
     model = Model("joint", terms=[Failing])
     seen = list(observations(walk(30, seed=15)))
     options: dict[str, Any] = {"engine": engine, "lag": lag, "relinearize_threshold": 1e-9}
-    smoother, plain = (OnlineSmoother(model, **options) for _ in range(2))
+    smoother, plain = (OnlineSolver(model, **options) for _ in range(2))
     run(smoother, seen[:20])
     run(plain, seen[:20])
     with monkeypatch.context() as patch:
@@ -320,7 +321,7 @@ def test_a_factor_that_breaks_later_is_rolled_back_too(
 
 def test_a_pixel_above_the_horizon_is_refused() -> None:
     camera = GroundCamera.from_homography([[0.02, 0.0, -6.0], [0.0, -0.03, 14.0], [0.0, 0.01, -1.0]])
-    smoother = OnlineSmoother("joint", engine="fixed-lag", camera=camera)
+    smoother = OnlineSolver("joint", engine="fixed-lag", camera=camera)
     with pytest.raises(InputError, match="horizon"):
         smoother.update(Observation(t=0.0, pixel=(320.0, 50.0)))
     assert smoother.window is None
@@ -343,14 +344,14 @@ def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: floa
     seen = list(observations(track))
     seen[18], seen[19] = seen[19], seen[18]
     options: dict[str, Any] = {"engine": "isam2", "lag": lag}
-    whole = OnlineSmoother(preset, **options)
+    whole = OnlineSolver(preset, **options)
     expected, states = [], [whole.state()]
     for observation in seen:
         expected.append(whole.update(observation))
         states.append(through_json(whole.state()))
     assert expected[19].status == "late"
     for k in range(len(seen)):
-        resumed = OnlineSmoother.from_state(through_json(states[k]), preset, **options)
+        resumed = OnlineSolver.from_state(through_json(states[k]), preset, **options)
         if k:
             assert_same(replace(resumed.update(seen[k - 1]), status="new"), expected[k - 1], 0.0)
         for step in range(k, min(k + 4, len(seen))):
@@ -363,10 +364,10 @@ def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: floa
 @pytest.mark.parametrize("first, second", [("fixed-lag", "chain"), ("chain", "fixed-lag")])
 def test_one_engine_goes_on_from_the_state_of_another(first: Any, second: Any) -> None:
     seen = list(observations(walk(60, seed=3)))
-    smoother = OnlineSmoother("joint", engine=first, lag=1.0, **CONVERGED)
+    smoother = OnlineSolver("joint", engine=first, lag=1.0, **CONVERGED)
     run(smoother, seen[:30])
     state = through_json(smoother.state())
-    resumed = OnlineSmoother.from_state(state, "joint", engine=second, lag=1.0, **CONVERGED)
+    resumed = OnlineSolver.from_state(state, "joint", engine=second, lag=1.0, **CONVERGED)
     # Engines differ in the curvature with which they let frames go, so only nearly the same.
     for observation in seen[30:]:
         a, b = smoother.update(observation), resumed.update(observation)
@@ -375,7 +376,7 @@ def test_one_engine_goes_on_from_the_state_of_another(first: Any, second: Any) -
 
 
 def test_the_fixed_lag_keeps_no_more_than_its_window() -> None:
-    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
+    smoother = OnlineSolver("joint", engine="fixed-lag", lag=1.0)
     run(smoother, list(observations(walk(120))))
     assert len(smoother.history()) == len(smoother.state()["steps"]) <= 12
     assert smoother._smoother.steps[-1].previous.previous is None
@@ -384,14 +385,14 @@ def test_the_fixed_lag_keeps_no_more_than_its_window() -> None:
 def test_the_compiled_window_equals_the_batch_within_the_lag() -> None:
     for preset in ("separate", "joint"):
         track = walk(200, seed=6, dt=0.04)
-        smoother = OnlineSmoother(preset, engine="chain", lag=2.0)
+        smoother = OnlineSolver(preset, engine="chain", lag=2.0)
         run(smoother, list(observations(track)))
         batch = smooth_track(track, Model(preset)).track
         assert np.abs(differences(smoother.history(), batch)).max() < 1e-3
 
 
 def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
-    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
+    smoother = OnlineSolver("joint", engine="fixed-lag", lag=1.0)
     run(smoother, list(observations(walk(30))))
     state = through_json(smoother.state())
     change(state)
@@ -418,4 +419,4 @@ def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
 )
 def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:
     with pytest.raises(InputError, match="state"):
-        OnlineSmoother.from_state(damage(change), "joint", engine="fixed-lag", lag=1.0)
+        OnlineSolver.from_state(damage(change), "joint", engine="fixed-lag", lag=1.0)

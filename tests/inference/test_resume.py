@@ -12,10 +12,12 @@ import pytest
 from selection import others_slow
 from walks import walk
 
+import graphtrack as gt
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import Estimate, OnlineSmoother
+from graphtrack.inference import Estimate
 from graphtrack.inference.chain.window import SLOTS, pool_of
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
 from graphtrack.saved import packed, unpacked
@@ -100,8 +102,8 @@ QUICK = [
 )
 def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 0.5, "camera": CAMERA}
-    whole = OnlineSmoother(preset, **options)
-    stopped = OnlineSmoother.from_state(through_json(whole.state()), preset, **options)  # of nothing so far
+    whole = OnlineSolver(preset, **options)
+    stopped = OnlineSolver.from_state(through_json(whole.state()), preset, **options)  # of nothing so far
     rng, statuses = np.random.default_rng(4), set()
     for k, observation in enumerate(rows(SCENES[scene](n), seed=5)):
         expected = whole.update(observation)
@@ -109,7 +111,7 @@ def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str
         statuses.add(expected.status)
         if rng.random() < 0.3:
             saved = through_json(stopped.state())
-            stopped = OnlineSmoother.from_state(saved, preset, **options)
+            stopped = OnlineSolver.from_state(saved, preset, **options)
             assert through_json(stopped.state()) == saved
     assert statuses >= {"new", "late", "duplicate", "too-late"}
 
@@ -118,7 +120,7 @@ def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str
     ("engine", "preset", "scene"), [("chain", "full", "classes"), ("fixed-lag", "joint", "angles")]
 )
 def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str, scene: str) -> None:
-    smoother = OnlineSmoother(preset, engine=engine, lag=0.5)
+    smoother = OnlineSolver(preset, engine=engine, lag=0.5)
     taken: list[tuple[dict[str, Any], Callable[[], dict[str, Any]]]] = []
     for observation in rows(SCENES[scene](60), seed=5):
         smoother.update(observation)
@@ -135,7 +137,7 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
 )
 def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, scene: str) -> None:
     options: dict[str, Any] = {"engine": "chain", "lag": 2.0, "camera": CAMERA}
-    smoother, anew = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    smoother, anew = OnlineSolver(preset, **options), OnlineSolver(preset, **options)
     differ = False
     for observation in observations(SCENES[scene](90)):
         found = smoother.update(observation)
@@ -143,7 +145,7 @@ def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, sc
         arrays = state["arrays"]
         if "factored" in arrays:
             arrays["factored"] = packed(unpacked(arrays["factored"]) + 1.0)  # so far away
-        anew = OnlineSmoother.from_state(state, preset, **options)
+        anew = OnlineSolver.from_state(state, preset, **options)
         expected = anew.update(observation)
         np.testing.assert_allclose(found.position, expected.position, atol=1e-4)
         np.testing.assert_allclose(found.covariance, expected.covariance, rtol=0.02, atol=1e-4)
@@ -157,10 +159,10 @@ def test_what_is_remembered_of_intervals_does_not_show() -> None:
     """Frames are packed once for all intervals that round to the same; the first of them must not decide."""
     moments = [0.0, 0.1 + 3e-10, 5.0, 5.1, 5.2, 5.3, 5.4 + 1e-11]
     seen = [Observation(t=t, position=(t, 0.0), body=0.1 * t, head=0.2) for t in moments]
-    whole = OnlineSmoother("joint", engine="chain", lag=0.15)
+    whole = OnlineSolver("joint", engine="chain", lag=0.15)
     for observation in seen[:3]:
         whole.update(observation)
-    resumed = OnlineSmoother.from_state(through_json(whole.state()), "joint", engine="chain", lag=0.15)
+    resumed = OnlineSolver.from_state(through_json(whole.state()), "joint", engine="chain", lag=0.15)
     assert all(bits(resumed.update(one)) == bits(whole.update(one)) for one in seen[3:])
 
 
@@ -188,14 +190,14 @@ def assert_same(one: Estimate, other: Estimate) -> None:
 @pytest.mark.parametrize("preset", ["position", "joint", "full"])
 def test_together_is_the_same_as_one_by_one(preset: str) -> None:
     people = SLOTS + 3 if preset == "joint" else 5  # more than one call takes
-    alone, joined = ([OnlineSmoother(preset, lag=1.0) for _ in range(people)] for _ in range(2))
+    alone, joined = ([OnlineSolver(preset, lag=1.0) for _ in range(people)] for _ in range(2))
     told = 0
     for k, frame in enumerate(courses(people, 24)):
         there = [person for person, one in enumerate(frame) if one is not None]
         if k == 12:  # going on elsewhere makes no difference either
-            joined = [OnlineSmoother.from_state(one.state(), preset, lag=1.0) for one in joined]
+            joined = [OnlineSolver.from_state(one.state(), preset, lag=1.0) for one in joined]
         seen = [joined[person].usable(frame[person]) for person in there]
-        estimates = OnlineSmoother.update_together([joined[person] for person in there], seen)
+        estimates = OnlineSolver.update_together([joined[person] for person in there], seen)
         for person, estimate in zip(there, estimates, strict=True):
             assert_same(alone[person].update(frame[person]), estimate)
             told += estimate.status == "new"
@@ -206,9 +208,9 @@ def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None
     def blocks() -> int:
         return len(pool_of(smoother._smoother._program).blocks)
 
-    smoother = OnlineSmoother("joint", lag=2.0)
+    smoother = OnlineSolver("joint", lag=2.0)
     before = blocks()
-    many = [OnlineSmoother("joint") for _ in range(2 * SLOTS)]
+    many = [OnlineSolver("joint") for _ in range(2 * SLOTS)]
     assert blocks() > before
     del many
     assert blocks() == before
@@ -216,7 +218,7 @@ def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None
     for one in seen[:150]:
         smoother.update(one)
     # It moves to larger arrays, and goes on as one that has them from the start.
-    other = OnlineSmoother.from_state(smoother.state(), "joint", lag=2.0)
+    other = OnlineSolver.from_state(smoother.state(), "joint", lag=2.0)
     for one in seen[150:]:
         assert_same(smoother.update(one), other.update(one))
     assert len(smoother.history()) == 300
@@ -224,7 +226,7 @@ def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None
 
 def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     """By a position whose information exceeds a double."""
-    alone, joined = ([OnlineSmoother("joint") for _ in range(3)] for _ in range(2))
+    alone, joined = ([OnlineSolver("joint") for _ in range(3)] for _ in range(2))
     for k in range(5):
         for person in range(3):
             seen = Observation(0.1 * k, k, (0.1 * k, float(person)))
@@ -232,7 +234,7 @@ def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     before = joined[1].state()
     bad = Observation(0.5, 5, (1e8, 1.0), position_std=1e-150)
     seen = [Observation(0.5, 5, (0.5, 0.0)), bad, Observation(0.5, 5, (0.5, 2.0))]
-    found = OnlineSmoother.update_together(joined, seen)
+    found = OnlineSolver.update_together(joined, seen)
     assert [one.status for one in found] == ["new", "failed", "new"]
     for person in (0, 2):
         assert_same(alone[person].update(seen[person]), found[person])
@@ -267,5 +269,5 @@ def test_rows_together_are_answered_as_one_by_one() -> None:
 
 def people() -> TrackAnswers:
     return TrackAnswers(
-        lambda: OnlineSmoother("joint"), None, lambda text: None, bounds=StreamBounds(5, 10.0)
+        lambda: gt.OnlineSmoother("joint"), None, lambda text: None, bounds=StreamBounds(5, 10.0)
     )

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack import Observation, OnlineSmoother, Track
+from graphtrack import Observation, Track
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import OnlineSolver
 from graphtrack.model import Model, Parameters
 from graphtrack.model.observation import observations
 from graphtrack.model.parameters import LikelihoodParameters
@@ -112,7 +113,7 @@ def test_a_second_sensor_online_equals_the_kalman_filter(engine, sign, first) ->
     for apart in APART:
         t, x, stds = two_sensors(sign * apart, std, first=first)
         smoother, one_time = (
-            OnlineSmoother(model_of(density), engine=engine),
+            OnlineSolver(model_of(density), engine=engine),
             abs(t[5, 1] - t[5, 0]) < SAME_TIME,
         )
         both = [product(*pair) for pair in zip(x, stds, strict=True)]
@@ -147,7 +148,7 @@ def test_high_rates_equal_the_kalman_filter(engine, hertz, std, density) -> None
     t = np.arange(n) / hertz
     x = 1.3 * t + std * rng.standard_normal(n)
     mean, cov, *_ = kalman_and_rts(t, x, std, density)
-    smoother = OnlineSmoother(model_of(density), engine=engine, lag=0.05)
+    smoother = OnlineSolver(model_of(density), engine=engine, lag=0.05)
     for k in range(n):
         found = smoother.update(Observation(t=t[k], position=(x[k], 0.0), position_std=std))
         assert found.status == "new"
@@ -159,7 +160,7 @@ def test_high_rates_equal_the_kalman_filter(engine, hertz, std, density) -> None
 @pytest.mark.parametrize("engine", ENGINES)
 def test_orientations_at_high_rates_are_found_too(engine) -> None:
     rng = np.random.default_rng(0)
-    smoother = OnlineSmoother("joint", engine=engine, lag=0.05)
+    smoother = OnlineSolver("joint", engine=engine, lag=0.05)
     for k in range(60):
         t, head = k / 500, 0.5 + 0.1 * rng.standard_normal()
         position = (1.3 * t + 0.01 * rng.standard_normal(), 0.0)
@@ -183,7 +184,7 @@ def test_the_second_row_of_a_time_is_used_whatever_the_order(engine, preset) -> 
     ]
     found = []
     for order in ((0, 1, 2), (0, 2, 1)):
-        smoother = OnlineSmoother(preset, engine=engine)
+        smoother = OnlineSolver(preset, engine=engine)
         for some in rows:
             estimates = [smoother.update(some[i]) for i in order]
             assert [one.status for one in estimates] == ["new", "late", "late"]
@@ -253,7 +254,7 @@ CONTRADICT = {
 
 @pytest.mark.parametrize(("named", "both"), CONTRADICT.items())
 def test_what_has_no_product_is_refused_by_name(named, both) -> None:
-    smoother = OnlineSmoother("joint", camera=CAMERA)
+    smoother = OnlineSolver("joint", camera=CAMERA)
     rows = [Observation(t=0.1 * k, position=(0.1 * k, 0.0)) for k in range(5)]
     for one in rows:
         smoother.update(one)
@@ -275,8 +276,8 @@ def test_a_track_whose_inputs_contradict_each_other_fails_alone() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_merged_observations_survive_a_state(engine) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 1.0}
-    whole, row = OnlineSmoother("joint", **options), Observation(t=0.0, position=(0.0, 0.0))
-    stopped = OnlineSmoother("joint", **options)
+    whole, row = OnlineSolver("joint", **options), Observation(t=0.0, position=(0.0, 0.0))
+    stopped = OnlineSolver("joint", **options)
     for k in range(30):
         for one in (
             replace(row, t=k / 10, position=(0.1 * k, 0.0)),
@@ -287,13 +288,13 @@ def test_merged_observations_survive_a_state(engine) -> None:
             assert found.status == expected.status
             np.testing.assert_allclose(found.position, expected.position, atol=1e-3)
             state = json.loads(json.dumps(stopped.state()))
-            stopped = OnlineSmoother.from_state(state, "joint", **options)
+            stopped = OnlineSolver.from_state(state, "joint", **options)
         assert expected.status == "duplicate"
     assert len(whole._parts) <= 12  # those of the window
 
 
 def test_revised_detections_take_their_share_back() -> None:
-    smoother, plain = OnlineSmoother("position"), OnlineSmoother("position")
+    smoother, plain = OnlineSolver("position"), OnlineSolver("position")
     rows = [Observation(t=k / 10, position=(0.1 * k, 0.0)) for k in range(10)]
     for one in rows:
         smoother.update(one), plain.update(one)
@@ -317,7 +318,7 @@ def test_a_result_that_rounding_hides_is_a_failure_with_the_reason(engine) -> No
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_online_result_that_rounding_hides_is_a_failure_too(engine) -> None:
-    smoother = OnlineSmoother(model_of(1e-5), engine=engine)
+    smoother = OnlineSolver(model_of(1e-5), engine=engine)
     found = [
         smoother.update(Observation(t=k * SAME_TIME * 1.01, position=(0.0, 0.0), position_std=50.0))
         for k in range(3)
@@ -332,7 +333,7 @@ def test_recorded_tracks_have_an_estimate_in_each_row_online_too() -> None:
     position = np.column_stack([x.ravel(), np.zeros(x.size)])
     track = Track(1, np.arange(x.size), t.ravel(), position, position_std=stds.ravel())
     found = gt.track_online(track, "position")
-    expected = [OnlineSmoother("position")]
+    expected = [OnlineSolver("position")]
     rows = [expected[0].update(one) for one in observations(track)]
     np.testing.assert_array_equal(found.position, [one.position for one in rows])
     assert len(found) == len(track)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import direction, mean_absolute_error, unit, wrap
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.interaction.coupled import CONVERSATIONS, LEAST, Conversations, counts, lasting, neighbours
 from graphtrack.interaction.evidence import pair_evidence
 from graphtrack.interaction.parameters import DEFAULT

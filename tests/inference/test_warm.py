@@ -15,9 +15,10 @@ from random_tracks import lens_camera, random_track
 from walks import walk
 
 from graphtrack.baselines import particle_filter as particle
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.forecasting.recorded import forecast
-from graphtrack.inference import OnlineSmoother, SolverOptions, engines, smooth_track
+from graphtrack.inference import SolverOptions, engines, smooth_track
 from graphtrack.inference.engines import make_solver_ready
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
@@ -112,9 +113,9 @@ def test_unknown_functions_are_refused() -> None:
 def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:
     track, model = walk(5), Model("joint")
     for run in (
-        lambda: smooth(TrackSet((track,)), "joint"),
+        lambda: smooth(TrackSet((track,)), "joint", constants="default"),
         lambda: smooth_track(track, model, engine="gtsam"),
-        lambda: OnlineSmoother("joint"),
+        lambda: OnlineSmoother("joint", constants="default"),
         lambda: optimise.Solver([track], model, None),
         lambda: particle.particle_filter(track, "joint"),
         lambda: particle.particle_smoother(track, "joint"),

@@ -214,7 +214,7 @@ def test_what_detections_were_made_with_comes_out(
 
 def test_a_model_has_what_was_learned_and_nothing_else(alone: SceneFit) -> None:
     shown = {one.name: one.value for one in alone.learned if not one.note}
-    assert dict(alone.model.scene) == shown and alone.model.preset == "full"
+    assert dict(alone.model.scene) == shown and alone.model.preset == "joint"
     assert "body_std" not in shown and "longest_gap" not in shown
     assert json.loads(json.dumps(alone.to_dict()))["model"]["scene"] == shown
     for one in alone.learned:

@@ -121,7 +121,7 @@ def test_velocities_of_people_who_are_new_are_as_wrong_as_stated(engine: OnlineE
         angles = {name: rng.vonmises(heading, 1.5) for name in ("body", "head")}
         noise = {"position_std": np.full(frames, 0.3), "body_kappa": np.full(frames, 1.5)}
         track = Track(k, np.arange(frames), t, seen, **angles, **noise, head_kappa=np.full(frames, 1.5))
-        found = track_online(track, "joint", engine=engine)
+        found = track_online(track, "joint", engine=engine, constants="default")
         off, covariance = found.velocity - [1.3, 0.0], found.covariance[:, 2:4, 2:4]
         squares.append(np.einsum("na,nab,nb->n", off, np.linalg.inv(covariance), off) / 2.0)
         widths.append(np.sqrt(covariance[:, 0, 0]))

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from walks import walk
 
 import graphtrack as gt
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import OnlineSmoother
 from graphtrack.model import CouplingParameters, Model, Parameters, presets
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms.orientation import BodyDynamics
@@ -104,7 +104,7 @@ def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(tmp_path: P
     found = Model.named(path)
     assert found.preset == default.preset
     assert found.parameters.likelihood == default.parameters.likelihood
-    assert Model.load(path).preset == Model.named(None).preset == "full"
+    assert Model.load(path).preset == Model.named(None).preset == "joint"
 
 
 KNOWN = "position, separate, joint"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from graphtrack.constants.online import OnlineSmoother
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
 from perception.experiments.head_trackers import graph_on_top, survives
 from perception.follow import guidance

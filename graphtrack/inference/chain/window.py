@@ -39,6 +39,7 @@ from graphtrack.kernels.layout import N, Problem
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
+from graphtrack.model.observation import OWN
 from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import FramePacker
 from graphtrack.model.terms.couplings import Gait, gait_of
@@ -115,6 +116,12 @@ class FrameRows:
         self._program, self._packer = program_of(model), packer_of(model)
         record = self._program.types.frame
         self.place = {name: place_in_row(name, record) for name in record.names or ()}
+        # Place of a field, place of its parameter in `OwnParameters`, the model's value, and the power.
+        self._scaled = [
+            (self.place[name], OWN.index(parameter), model.parameters.value(parameter), power)
+            for term in model.terms
+            for name, parameter, power in term.scaled
+        ]
 
     def make(self, n: int, origin: FloatArray, prior: FloatArray) -> None:
         """Make arrays for n frames; the other arguments are those of `Problem`, without the first axis."""
@@ -138,6 +145,9 @@ class FrameRows:
         record[self.place["dt"]] = 0.0 if step.dt is None else step.dt
         for name, value in self._packer.live(observation):
             record[self.place[name]] = value
+        if step.own is not None:
+            for place, which, value, power in self._scaled:
+                record[place] *= (step.own[which] / value) ** power
         if step.is_ambiguous:
             body, head = packed.body_heights, packed.head_heights
             problem.body_heights[row : row + len(body)] = body

@@ -150,6 +150,7 @@ class BodyFollowsMotion(Term):
         Field("motion_body_sin", ""),
     )
     shared = (Field("speed_threshold", "τ in m/s"),)
+    scaled = (("motion_body_kappa", "coupling.motion_body_kappa", 1.0),)
     kernels = (ADD_BODY_FOLLOWS_MOTION,)
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
@@ -214,6 +215,7 @@ class HeadFollowsBody(Term):
         Field("head_body_cos", "of the offset of the coupling from body to head"),
         Field("head_body_sin", ""),
     )
+    scaled = (("head_body_kappa", "coupling.head_body_kappa", 1.0),)
     kernels = (ADD_HEAD_FOLLOWS_BODY,)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:

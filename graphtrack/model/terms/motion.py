@@ -125,6 +125,7 @@ class Motion(Term):
         Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
         Field("velocity_information", "of the prior on the velocity, where it applies"),
     )
+    scaled = (("motion_information", _DENSITY, -1.0),)
     kernels: ClassVar[tuple[Kernel, ...]] = (ADD_MOTION, ADD_FIRST_VELOCITY)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:

@@ -112,6 +112,7 @@ class BodyDynamics(_OrientationDynamics):
     repeats = True
     reads = tuple(f"orientation.body_{name}" for name in _READ)
     fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    scaled = (("body_turn_kappa", "orientation.body_diffusion", -1.0),)
     kernels = (_turning("body"),)
     log_normaliser = _OrientationDynamics.turns_normaliser
 
@@ -124,6 +125,7 @@ class HeadDynamics(_OrientationDynamics):
     repeats = True
     reads = tuple(f"orientation.head_{name}" for name in _READ)
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    scaled = (("head_turn_kappa", "orientation.head_diffusion", -1.0),)
     kernels = (_turning("head"),)
     log_normaliser = _OrientationDynamics.turns_normaliser
 

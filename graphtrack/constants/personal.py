@@ -14,18 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
-from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
-from graphtrack.inference.engines import Failure, PersonalConstants, Solution
-from graphtrack.kernels.compilation import make_ready, processors
-from graphtrack.kernels.layout import BODY, HEAD, N
-from graphtrack.learning.innovations import REHEARSAL, motion_evidence, turning_evidence
-from graphtrack.learning.population import (
+from graphtrack.constants.filters import REHEARSAL, motion_evidence, turning_evidence
+from graphtrack.constants.population import (
     COUPLINGS,
     DENSITIES,
     DIFFUSIONS,
@@ -34,8 +29,14 @@ from graphtrack.learning.population import (
     learned,
     posterior,
 )
-from graphtrack.learning.prediction import leave_one_out
+from graphtrack.constants.prediction import Observed, leave_one_out
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
+from graphtrack.inference.engines import Failure, PersonalConstants, Solution
+from graphtrack.kernels.compilation import make_ready, processors
+from graphtrack.kernels.layout import BODY, HEAD, N
 from graphtrack.model import Model
+from graphtrack.model.model import BEST_PRESET, default_parameters
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -50,13 +51,27 @@ _UNDETERMINED = 0.9 * UNIFORM_STD**2
 """Variance of an angle, rad², above which an alternative says nothing about it."""
 
 
-Solve = Callable[[TrackSet, Mapping[str, FloatArray]], list[Solution | Failure]]
-"""Smooth tracks, with parameters of their own by name, as ``group.key``, a value (m,) for each track."""
+Progress = Callable[[int], None]
+
+Solve = Callable[[TrackSet, Mapping[str, FloatArray], Progress | None], list[Solution | Failure]]
+"""Smooth tracks, with parameters of their own by name, as ``group.key``, a value (m,) for each track; the
+progress is called with the numbers of person-frames that are done."""
 
 
 Constants = str | Path | Population
 """Constants: "default", the model's; "learn", each person's, with what the people of the recording
 have in common as the prior; or each person's, with a known population: a `Population` or its file."""
+
+
+Known = Population | Literal["learn", "default"] | None
+"""The same, once a file is read; None: by default."""
+
+
+def known_constants(constants: Constants | None) -> Known:
+    """Return constants with the population of a file read; errors as `population_of`."""
+    if constants is None or constants == "default":
+        return None if constants is None else "default"
+    return population_of(constants) or "learn"
 
 
 def population_of(constants: Constants) -> Population | None:
@@ -72,8 +87,35 @@ def population_of(constants: Constants) -> Population | None:
     return Population.load(constants)
 
 
+_LEARNED = ("motion", "orientation", "coupling")
+"""Groups of parameters, some of which are learned."""
+
+
+def is_learned(constants: Constants | None, model: Model) -> bool:
+    """Return whether constants are learned; by default for `BEST_PRESET`, where they are the preset's.
+
+    Raises
+    ------
+    InputError
+        If they are to be learned for a model where they cannot be.
+    """
+    if constants is None:
+        own, usual = model.parameters, default_parameters(BEST_PRESET)
+        return model.preset == BEST_PRESET and all(
+            getattr(own, group) == getattr(usual, group) for group in _LEARNED
+        )
+    if constants == "default":
+        return False
+    check_learnable(model)
+    return True
+
+
 def solve_learned(
-    tracks: TrackSet, model: Model, solve: Solve, population: Population | None = None
+    tracks: TrackSet,
+    model: Model,
+    solve: Solve,
+    population: Population | None = None,
+    progress: Progress | None = None,
 ) -> tuple[list[Solution | Failure], Population]:
     """Smooth every track with constants of its own, averaged over the couplings by their probabilities.
 
@@ -92,31 +134,37 @@ def solve_learned(
         return [], Population() if population is None else population
     make_ready("the learned constants", REHEARSAL)
     motion, shares = _motion(tracks.tracks, model, population)
-    alternatives = _alternatives(model)
+    alternatives = alternatives_of(model)
     if len(alternatives) == 1:
-        return _with_constants(solve(tracks, motion), motion, alternatives, np.ones((len(tracks), 1))), shares
+        found_alone = solve(tracks, motion, progress)
+        return _with_constants(found_alone, motion, alternatives, np.ones((len(tracks), 1))), shares
     judged = _judged(tracks)
     found: list[Sequence[Solution | Failure | None]] = [
-        solve(judged, motion | _strengths(one, model, len(tracks))) for one in alternatives
+        solve(judged, motion | _strengths(one, model, len(tracks)), None) for one in alternatives
     ]
     failed = np.array([any(isinstance(one[m], Failure) for one in found) for m in range(len(tracks))])
     kept = np.flatnonzero(~failed).tolist()
-    prior = np.array(shares.coupling)[[COUPLINGS.index(one) for one in alternatives]]
-    prior /= prior.sum()
+    prior = shares.coupling_of(alternatives)
     evidence = np.zeros((len(tracks), len(alternatives)))
     if kept:
-        given = [judged.tracks[m] for m in kept]
+        given = Observed.of([judged.tracks[m] for m in kept], model.parameters)
+        outliers = model.parameters.likelihood.outlier_probability
         for k, part in enumerate(found):
-            evidence[kept, k] = leave_one_out(given, [_track_of(part[m]) for m in kept], model.parameters)
+            evidence[kept, k] = leave_one_out(given, [_track_of(part[m]) for m in kept], outliers)
     if population is None:
         prior = learned(evidence[kept], tuple(prior.tolist()), shares.people, None)
-        shares = _with_couplings(shares, alternatives, prior)
+        shares = shares.with_coupling(alternatives, prior)
     weights = posterior(evidence, prior)
     weights[weights < _NEGLIGIBLE] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
-    if judged is not tracks:
+    if judged is tracks:
+        if progress is not None:
+            progress(tracks.n_frames)
+    else:
+        lengths = np.array([len(track) for track in tracks])
+        shared = _Shared(progress, tracks.n_frames, int((weights > 0.0).sum(axis=1) @ lengths))
         found = [
-            _some(tracks, weights[:, k] > 0.0, motion | _strengths(one, model, len(tracks)), solve)
+            _some(tracks, weights[:, k] > 0.0, motion | _strengths(one, model, len(tracks)), solve, shared)
             for k, one in enumerate(alternatives)
         ]
     answers = [_of_one([part[m] for part in found], weights[m]) for m in range(len(tracks))]
@@ -137,19 +185,27 @@ def _motion(
 ) -> tuple[dict[str, FloatArray], Population]:
     """Return the posterior means (m,) of the constants of motion and turning, and the population's shares."""
     parameters, start = model.parameters, Population() if population is None else population
+    # Parts of about equal work; each person's evidence does not depend on them.
+    parts = [tracks[k :: processors()] for k in range(min(processors(), len(tracks)))]
+    evidence = {
+        "acceleration_density": lambda some: motion_evidence(some, parameters, DENSITIES),
+        "body_diffusion": lambda some: turning_evidence(some, "body", parameters, DIFFUSIONS),
+        "head_diffusion": lambda some: turning_evidence(some, "head", parameters, DIFFUSIONS),
+    }
     with ThreadPoolExecutor(processors()) as pool:
-        jobs = {
-            "acceleration_density": pool.submit(motion_evidence, tracks, parameters, DENSITIES),
-            "body_diffusion": pool.submit(turning_evidence, tracks, "body", parameters, DIFFUSIONS),
-            "head_diffusion": pool.submit(turning_evidence, tracks, "head", parameters, DIFFUSIONS),
-        }
+        jobs = {name: [pool.submit(of, part) for part in parts] for name, of in evidence.items()}
     values: dict[str, FloatArray] = {}
     shares: dict[str, Any] = {}
-    for name, job in jobs.items():
-        own, grid = job.result(), DENSITIES if name == "acceleration_density" else DIFFUSIONS
+    # Tracks without a position cannot be smoothed, and say nothing of the others.
+    placed = [bool(np.isfinite(track.position).any()) for track in tracks]
+    for name, some in jobs.items():
+        own = np.zeros((len(tracks), len(DENSITIES)))
+        for k, job in enumerate(some):
+            own[k :: len(parts)] = job.result()
+        grid = DENSITIES if name == "acceleration_density" else DIFFUSIONS
         prior = np.array(getattr(start, name))
         if population is None:
-            prior = learned(own, getattr(start, name), start.people, grid)
+            prior = learned(own[placed], getattr(start, name), start.people, grid)
         group = "motion" if name == "acceleration_density" else "orientation"
         values[f"{group}.{name}"] = posterior(own, prior) @ grid
         shares[name] = tuple(prior.tolist())
@@ -164,21 +220,21 @@ def _strengths(coupling: CouplingAlternative, model: Model, count: int) -> dict[
     }
 
 
-def _alternatives(model: Model) -> tuple[CouplingAlternative, ...]:
+def alternatives_of(model: Model) -> tuple[CouplingAlternative, ...]:
     """Return the couplings that differ for a model, the last of those that are alike."""
+    return tuple(dict(zip(_effects(model), COUPLINGS, strict=True)).values())
+
+
+def places_of(model: Model) -> tuple[int, ...]:
+    """Return the place of each of `COUPLINGS` among `alternatives_of` the model."""
+    effects = _effects(model)
+    different = list(dict.fromkeys(effects))
+    return tuple(map(different.index, effects))
+
+
+def _effects(model: Model) -> list[tuple[float, float]]:
     has_path, has_neck = model.has_term(BodyFollowsMotion), model.has_term(HeadFollowsBody)
-    kept = {(one.motion_body * has_path, one.head_body * has_neck): one for one in COUPLINGS}
-    return tuple(kept.values())
-
-
-def _with_couplings(
-    shares: Population, alternatives: Sequence[CouplingAlternative], learned: FloatArray
-) -> Population:
-    """Return the population with the learned shares of some couplings; the others keep theirs."""
-    found = np.array(shares.coupling)
-    places = [COUPLINGS.index(one) for one in alternatives]
-    found[places] = learned * found[places].sum()
-    return replace(shares, coupling=tuple((found / found.sum()).tolist()))
+    return [(one.motion_body * has_path, one.head_body * has_neck) for one in COUPLINGS]
 
 
 def _judged(tracks: TrackSet) -> TrackSet:
@@ -198,14 +254,32 @@ def _judged(tracks: TrackSet) -> TrackSet:
     return tracks.map(middle)
 
 
+class _Shared:
+    """The progress of several solutions of the same tracks."""
+
+    def __init__(self, progress: Progress | None, frames: int, work: int) -> None:
+        self._progress, self._frames, self._work = progress, frames, max(work, 1)
+        self._done = 0
+
+    def __call__(self, frames: int) -> None:
+        before = self._frames * self._done // self._work
+        self._done += frames
+        if self._progress is not None:
+            self._progress(self._frames * self._done // self._work - before)
+
+
 def _some(
-    tracks: TrackSet, chosen: NDArray[np.bool_], own: Mapping[str, FloatArray], solve: Solve
+    tracks: TrackSet,
+    chosen: NDArray[np.bool_],
+    own: Mapping[str, FloatArray],
+    solve: Solve,
+    progress: Progress,
 ) -> list[Solution | Failure | None]:
     """Smooth the chosen tracks; None for the others."""
     found: list[Solution | Failure | None] = [None] * len(tracks)
     places = np.flatnonzero(chosen).tolist()
     some = tracks.with_tracks(tracks.tracks[m] for m in places)
-    solved = solve(some, {name: values[places] for name, values in own.items()})
+    solved = solve(some, {name: values[places] for name, values in own.items()}, progress)
     for m, one in zip(places, solved, strict=True):
         found[m] = one
     return found
@@ -244,6 +318,28 @@ def _with_constants(
     return answers
 
 
+def mixture(states: FloatArray, covariance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return means (n, 6) and covariances (n, 6, 6) of mixtures of states (k, n, 6).
+
+    The mean of angles is circular, over the alternatives that determine an angle.
+
+    Parameters
+    ----------
+    states : x, y, vx, vy, body, head; NaN for variables outside the model
+    covariance : (k, n, 6, 6)
+    weights : (k,) probabilities
+    """
+    mean = np.tensordot(weights, states, 1)
+    votes = weights[:, None, None] * np.maximum(
+        1.0 - covariance[:, :, (BODY, HEAD), (BODY, HEAD)] / _UNDETERMINED, 1e-6
+    )
+    mean[:, BODY:] = direction((votes[..., None] * unit(states[:, :, BODY:])).sum(axis=0))
+    away = states - mean
+    away[:, :, BODY:] = wrap(away[:, :, BODY:])
+    total = np.tensordot(weights, covariance + away[..., :, None] * away[..., None, :], 1)
+    return mean, total
+
+
 def averaged(solutions: Sequence[Solution], weights: FloatArray) -> Solution:
     """Return the mean of the solutions of one track by their weights, with the covariance of the mixture.
 
@@ -254,13 +350,7 @@ def averaged(solutions: Sequence[Solution], weights: FloatArray) -> Solution:
         return best
     states = np.stack([_states(one.track) for one in solutions])
     covariance = np.stack([one.track.covariance for one in solutions if one.track.covariance is not None])
-    mean = np.einsum("k,kni->ni", weights, states)
-    for place in (BODY, HEAD):
-        votes = weights[:, None] * np.maximum(1.0 - covariance[:, :, place, place] / _UNDETERMINED, 1e-6)
-        mean[:, place] = direction(np.einsum("kn,knj->nj", votes, unit(states[:, :, place])))
-    away = states - mean
-    away[:, :, BODY:] = wrap(away[:, :, BODY:])
-    total = np.einsum("k,knij->nij", weights, covariance) + np.einsum("k,kni,knj->nij", weights, away, away)
+    mean, total = mixture(states, covariance, weights)
     channels = {
         name: mean[:, place]
         for name, place in (("body", BODY), ("head", HEAD))

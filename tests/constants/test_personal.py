@@ -11,12 +11,12 @@ from scipy import stats
 from walks import rotation
 
 import graphtrack as gt
+from graphtrack.constants.filters import motion_evidence, observed_direction, turning_evidence
+from graphtrack.constants.personal import averaged, solve_learned
+from graphtrack.constants.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
+from graphtrack.constants.prediction import Observed, leave_one_out
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import unit, wrap
-from graphtrack.learning.innovations import motion_evidence, observed_direction, turning_evidence
-from graphtrack.learning.personal import averaged, solve_learned
-from graphtrack.learning.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
-from graphtrack.learning.prediction import leave_one_out
 from graphtrack.model.parameters import Parameters, steady
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -117,7 +117,7 @@ def test_classes_count_as_the_angle_of_their_mean() -> None:
 def test_leave_one_out_is_what_the_other_observations_predict(name: str) -> None:
     track = walker(4, n=30)
     model = gt.Model(name, steady(gt.Model(name).parameters))
-    found = leave_one_out([track], [gt.smooth(track, model)], model.parameters)
+    found = leave_one_out(Observed.of([track], model.parameters), [gt.smooth(track, model)], 0.0)
     expected = 0.0
     for k in np.flatnonzero(np.isfinite(track.position[:, 0])).tolist():
         hidden = track.position.copy()
@@ -194,7 +194,7 @@ def test_everybody_gets_constants_of_their_own() -> None:
     assert max(follows[1]) < 0.05 < min(follows[0])
     mean = [np.mean([one.body_diffusion for one in some]) for some in (facing, sideways)]  # type: ignore[union-attr]
     assert mean[1] > 4.0 * mean[0]
-    default, own = gt.smooth(people, "joint"), gt.smooth(people, constants="learn")
+    default, own = (gt.smooth(people, constants=which) for which in ("default", "learn"))
     assert body_error(own, people) < 0.6 * body_error(default, people)
 
 
@@ -238,7 +238,10 @@ def test_a_known_population_is_used_as_it_is() -> None:
     people = mixed(4)
     free = Population(coupling=(0.997, 0.001, 0.001, 0.001))
     _, shares = solve_learned(
-        people, gt.Model("joint"), lambda some, own: gt.solve(some, "joint"), population=free
+        people,
+        gt.Model("joint"),
+        lambda some, own, done: gt.solve(some, "joint", constants="default"),
+        population=free,
     )
     assert shares.coupling == free.coupling
 

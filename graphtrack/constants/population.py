@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -52,6 +53,18 @@ def log_normal(values: FloatArray, centre: float, width: float) -> tuple[float, 
     return tuple((found / found.sum()).tolist())
 
 
+class Evidence(NamedTuple):
+    """Log evidence of the values of a person's constants; of `COUPLINGS`, equal where they are alike."""
+
+    acceleration_density: FloatArray
+    body_diffusion: FloatArray
+    head_diffusion: FloatArray
+    coupling: FloatArray
+
+
+_SHARES = Evidence._fields
+
+
 @dataclass(frozen=True)
 class Population:
     """Shares of people for whom each value of a constant holds; the default is a broad prior.
@@ -86,14 +99,49 @@ class Population:
         if not (isinstance(self.people, float) and 0.0 <= self.people < math.inf):
             raise InputError(f"people = {self.people!r}", "a number that is not negative")
 
+    def coupling_of(self, alternatives: Sequence[CouplingAlternative]) -> FloatArray:
+        """Return the probabilities (k,) of some couplings, given that it is one of them."""
+        found = np.array(self.coupling)[[COUPLINGS.index(one) for one in alternatives]]
+        return np.asarray(found / found.sum())
+
+    def with_coupling(self, alternatives: Sequence[CouplingAlternative], learned: FloatArray) -> Population:
+        """Return the population with probabilities (k,) of some couplings; the others keep their shares."""
+        found = np.array(self.coupling)
+        places = [COUPLINGS.index(one) for one in alternatives]
+        found[places] = learned * found[places].sum()
+        return replace(self, coupling=tuple((found / found.sum()).tolist()))
+
+    def with_people(self, evidence: Sequence[Evidence], prior: Population) -> Population:
+        """Return the population with more people; each counts as far as the posterior is not the prior.
+
+        Parameters
+        ----------
+        evidence : of each person
+        prior : the population by which the evidence is judged
+        """
+        if not evidence:
+            return self
+        shares: dict[str, tuple[float, ...]] = {}
+        most = 0.0
+        for name in _SHARES:
+            grid = None if name == "coupling" else DENSITIES if name == "acceleration_density" else DIFFUSIONS
+            before, known = np.array(getattr(self, name)), np.array(getattr(prior, name))
+            own = posterior(np.array([getattr(one, name) for one in evidence]), known)
+            weight = 0.5 * np.abs(own - known).sum(axis=1)
+            added = weight @ (own if grid is None else own @ blur_of(grid))
+            mean = self.people * before + added
+            shares[name] = tuple((mean / mean.sum()).tolist())
+            most = max(most, float(weight.sum()))
+        return replace(self, people=self.people + most, **shares)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of a file."""
+        return {name: list(one) if isinstance(one, tuple) else one for name, one in asdict(self).items()}
+
     def save(self, path: str | Path) -> None:
         """Write a file (TOML), whole or not at all."""
         with atomic_path(path) as temporary:
-            content = {
-                name: list(value) if isinstance(value, tuple) else value
-                for name, value in asdict(self).items()
-            }
-            Path(temporary).write_text(tomli_w.dumps(content), encoding="utf-8")
+            Path(temporary).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> Population:
@@ -140,16 +188,19 @@ def learned(
     values : (k,) of the constant, over whose logarithm shares are smooth; None: they have no order
     """
     ordered, prior = evidence[np.lexsort(evidence.T)], np.array(start)
-    blur = None
-    if values is not None:
-        logs = np.log(values)
-        blur = np.exp(-0.5 * ((logs[:, None] - logs) / _SPREAD) ** 2)
-        blur /= blur.sum(axis=1, keepdims=True)
+    blur = None if values is None else blur_of(values)
     for _ in range(ROUNDS if len(evidence) else 0):
         prior = posterior(ordered, prior).sum(axis=0) + people * np.array(start)
         prior = prior if blur is None else prior @ blur
         prior = prior / prior.sum()
     return prior
+
+
+def blur_of(values: FloatArray) -> FloatArray:
+    """Return the matrix (k, k) that spreads shares of values over their neighbours."""
+    logs = np.log(values)
+    blur = np.exp(-0.5 * ((logs[:, None] - logs) / _SPREAD) ** 2)
+    return np.asarray(blur / blur.sum(axis=1, keepdims=True))
 
 
 def posterior(evidence: FloatArray, prior: FloatArray) -> FloatArray:

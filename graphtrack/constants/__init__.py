@@ -1,0 +1,1 @@
+"""Constants of each person, learned from the recording."""

@@ -1,0 +1,356 @@
+"""Evidence of constants of motion and of turning: predictions of each person's observations, one step ahead.
+
+A filter goes through the observations of a person with each of some candidates; the likelihood of its
+innovations is the evidence of a candidate. Positions follow white-noise acceleration in a Kalman filter,
+angles rotational diffusion in a filter of von Mises densities.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_kappa,
+    concentration_from_resultant,
+    direction,
+    mean_resultant_length,
+    vectors_of,
+)
+from graphtrack.kernels.arithmetic import log_i0e
+from graphtrack.kernels.compilation import TRACK, Rehearsal, compiled, inner
+from graphtrack.model.parameters import Parameters
+from graphtrack.tracks.track import Track
+
+
+def motion_evidence(tracks: Sequence[Track], parameters: Parameters, densities: FloatArray) -> FloatArray:
+    """Return the log evidence (m, q) of spectral densities of white-noise acceleration, m²/s³."""
+    likelihood = parameters.likelihood
+    variance = [likelihood.position_stds(track.position_std, len(track)) ** 2 for track in tracks]
+    position = np.concatenate([track.position - _origin(track) for track in tracks])
+    found = np.zeros((len(tracks), len(densities)))
+    filter_positions(
+        *_times(tracks),
+        position,
+        np.concatenate(variance),
+        parameters.motion.initial_speed_std**2,
+        densities,
+        np.zeros(ROW_OF_PATH),
+        found,
+    )
+    return found
+
+
+def turning_evidence(
+    tracks: Sequence[Track], name: str, parameters: Parameters, diffusions: FloatArray
+) -> FloatArray:
+    """Return the log evidence (m, d) of rotational diffusions of "body" or "head", rad²/s."""
+    observed = [observed_direction(track, name, parameters) for track in tracks]
+    angle, kappa = (np.concatenate(part) for part in zip(*observed, strict=True))
+    found = np.zeros((len(tracks), len(diffusions)))
+    if kappa.any():
+        outliers = float(parameters.likelihood.outlier_probability)
+        filter_angles(*_times(tracks), np.nan_to_num(angle), kappa, outliers, diffusions, found)
+    return found
+
+
+def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return the observed angles (n,) of "body" or "head" and their concentrations (n,), NaN and 0 without.
+
+    Class likelihoods count as one angle, of the direction and concentration of their mean vector.
+    """
+    angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
+    if angle is None and classes is None:
+        return np.full(len(track), np.nan), np.zeros(len(track))
+    kappa = parameters.likelihood.kappas(name, getattr(track, f"{name}_kappa"), len(track))  # type: ignore[arg-type]
+    found = np.full(len(track), np.nan) if angle is None else angle.copy()
+    if classes is not None:
+        vectors = vectors_of(None, classes, len(track))
+        known = np.isfinite(vectors).all(axis=1)
+        length = np.linalg.norm(vectors[known], axis=1)
+        blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
+        found[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
+    return found, np.where(np.isfinite(found), kappa, 0.0)
+
+
+def _origin(track: Track) -> FloatArray:
+    """Return the first position (2,), so that coordinates are small."""
+    placed = np.flatnonzero(np.isfinite(track.position).all(axis=1))
+    return track.position[placed[0]] if len(placed) else np.zeros(2)
+
+
+def _times(tracks: Sequence[Track]) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the tracks' first frames and the end (m + 1,), and the seconds since the frame before (N,)."""
+    offsets = np.concatenate([[0], np.cumsum([len(track) for track in tracks])])
+    return offsets.astype(np.int64), np.concatenate([track.dt for track in tracks])
+
+
+ROW_OF_PATH, ROW_OF_ANGLE, ROW_OF_COUPLING = 8, 3, 5
+"""Numbers of a filter: x, y, vx, vy, variances of position, of both and of velocity, and the log evidence; a
+vector and the log evidence; the vectors of body and head and the log evidence."""
+
+
+@inner
+def predict_path(row: Any, dt: float, density: float) -> None:
+    """Move a filter of positions ahead, in place."""
+    row[0] += dt * row[2]
+    row[1] += dt * row[3]
+    row[4] += dt * (2.0 * row[5] + dt * row[6]) + density * dt * dt * dt / 3.0
+    row[5] += dt * row[6] + 0.5 * density * dt * dt
+    row[6] += density * dt
+
+
+@inner
+def observe_path(row: Any, x: float, y: float, variance: float) -> None:
+    """Take a position into a filter, in place."""
+    spread, dx, dy = row[4] + variance, x - row[0], y - row[1]
+    row[7] -= 0.5 * (dx * dx + dy * dy) / spread + math.log(2.0 * math.pi * spread)
+    gain_p, gain_v = row[4] / spread, row[5] / spread
+    row[0] += gain_p * dx
+    row[1] += gain_p * dy
+    row[2] += gain_v * dx
+    row[3] += gain_v * dy
+    row[6] -= gain_v * row[5]
+    row[5] -= gain_v * row[4]
+    row[4] -= gain_p * row[4]
+
+
+@inner
+def diffused(x: float, y: float, variance: float) -> tuple[float, float]:
+    """Return the vector of a von Mises density once a variance is added: 1/κ is a concentrated one's."""
+    kept = 1.0 / (1.0 + math.sqrt(x * x + y * y) * variance)
+    return kept * x, kept * y
+
+
+@inner
+def observed_angle(
+    x: float, y: float, angle: float, kappa: float, outliers: float
+) -> tuple[float, float, float]:
+    """Return the vector of a von Mises density after an observation, and the observation's log density."""
+    size = math.sqrt(x * x + y * y)
+    ox, oy = kappa * math.cos(angle), kappa * math.sin(angle)
+    if size <= 0.0:
+        return ox, oy, 0.0
+    both = math.sqrt((x + ox) * (x + ox) + (y + oy) * (y + oy))
+    density = log_i0e(both) + both - log_i0e(size) - size - log_i0e(kappa) - kappa
+    if outliers > 0.0:
+        inlier = (1.0 - outliers) * math.exp(density)
+        density = math.log(inlier + outliers)
+        share = inlier / (inlier + outliers)
+        ox, oy = share * ox, share * oy
+    return x + ox, y + oy, density - math.log(2.0 * math.pi)
+
+
+@compiled
+def filter_positions(
+    offsets: NDArray[np.int64],
+    dt: FloatArray,
+    position: FloatArray,
+    variance: FloatArray,
+    speed_variance: float,
+    densities: FloatArray,
+    row: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Write the log density of the positions (N, 2) of each track into ``found`` (m, q).
+
+    ``variance`` (N,) of a position on each axis, ``speed_variance`` of the first velocity; ``row`` is memory
+    """
+    for track in range(len(offsets) - 1):
+        for candidate in range(len(densities)):
+            begun = False
+            row[:] = 0.0
+            for k in range(offsets[track], offsets[track + 1]):
+                if begun:
+                    predict_path(row, dt[k], densities[candidate])
+                x, y = position[k, 0], position[k, 1]
+                if not (math.isfinite(x) and math.isfinite(y)):
+                    continue
+                if begun:
+                    observe_path(row, x, y, variance[k])
+                else:
+                    row[0], row[1], row[4], row[6], begun = x, y, variance[k], speed_variance, True
+            found[track, candidate] = row[7]
+
+
+@compiled
+def filter_angles(
+    offsets: NDArray[np.int64],
+    dt: FloatArray,
+    angle: FloatArray,
+    kappa: FloatArray,
+    outliers: float,
+    diffusions: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Write the log density of the angles (N,) of each track into ``found`` (m, d).
+
+    The state is a von Mises density, in its natural parameters: a vector whose length is the concentration.
+    ``kappa`` (N,) of the observations, 0 without; a share of ``outliers`` is uniform.
+    """
+    for track in range(len(offsets) - 1):
+        for candidate in range(len(diffusions)):
+            total, x, y = 0.0, 0.0, 0.0
+            for k in range(offsets[track], offsets[track + 1]):
+                x, y = diffused(x, y, diffusions[candidate] * dt[k])
+                if kappa[k] > 0.0:
+                    x, y, density = observed_angle(x, y, angle[k], kappa[k], outliers)
+                    total += density
+            found[track, candidate] = total
+
+
+class Rules(NamedTuple):
+    """Candidates and priors of the filters of one person online.
+
+    Attributes
+    ----------
+    densities, diffusions : (q,) and (d,) the candidates
+    couplings : (c, 2) κ₁ and κ₂ of each alternative
+    path, body, head, coupling : (q,), (d,), (d,) and (c,) log prior of each
+    speed_variance : of the first velocity, m²/s²
+    speed_threshold : m/s; correlation_time : s, of the couplings
+    outliers : share of observed angles
+    """
+
+    densities: FloatArray
+    diffusions: FloatArray
+    couplings: FloatArray
+    path: FloatArray
+    body: FloatArray
+    head: FloatArray
+    coupling: FloatArray
+    speed_variance: float
+    speed_threshold: float
+    correlation_time: float
+    outliers: float
+
+
+class Filters(NamedTuple):
+    """The filters of one person online, a row for each candidate; ``begun`` (1,) 1 after a position."""
+
+    path: FloatArray
+    body: FloatArray
+    head: FloatArray
+    coupled: FloatArray
+    begun: FloatArray
+
+    @classmethod
+    def new(cls, rules: Rules) -> Filters:
+        """Return the filters of a person before an observation."""
+        turns = np.zeros((2, len(rules.diffusions), ROW_OF_ANGLE))
+        coupled = np.zeros((len(rules.couplings), ROW_OF_COUPLING))
+        return cls(np.zeros((len(rules.densities), ROW_OF_PATH)), turns[0], turns[1], coupled, np.zeros(1))
+
+
+@inner
+def set_posterior(rows: Any, place: int, prior: Any, found: Any) -> None:
+    """Write the probabilities of candidates, by the log evidence in their rows, into ``found``."""
+    top, total = -math.inf, 0.0
+    for k in range(len(prior)):
+        found[k] = rows[k, place] + prior[k]
+        top = max(top, found[k])
+    for k in range(len(prior)):
+        found[k] = math.exp(found[k] - top)
+        total += found[k]
+    for k in range(len(prior)):
+        found[k] /= total
+
+
+@inner
+def mean_of(values: Any, shares: Any) -> float:
+    """Return the mean of values by shares."""
+    total = 0.0
+    for k in range(len(values)):
+        total += values[k] * shares[k]
+    return total
+
+
+@compiled
+def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, found: Any) -> None:
+    """Take an observation into the filters of a person.
+
+    ``row`` (8,) is the time since the previous in seconds, x, y, variance, body, its κ, head, its κ; NaN or 0
+    without. Written are ``found`` (3,), the posterior means of density and diffusions, and ``shares`` (c,),
+    the probabilities of the couplings. ``memory`` (candidates,) is overwritten.
+    """
+    dt, x, y, variance, angles = row[0], row[1], row[2], row[3], row[4:8]
+    is_placed = math.isfinite(x) and math.isfinite(y)
+    for k in range(len(rules.densities)):
+        path = filters.path[k]
+        if filters.begun[0] > 0.0:
+            predict_path(path, dt, rules.densities[k])
+            if is_placed:
+                observe_path(path, x, y, variance)
+        elif is_placed:
+            path[0], path[1], path[4], path[6] = x, y, variance, rules.speed_variance
+    if is_placed:
+        filters.begun[0] = 1.0
+    q, d = len(rules.densities), len(rules.diffusions)
+    set_posterior(filters.path, 7, rules.path, memory[:q])
+    vx = vy = spread = 0.0
+    for k in range(q):
+        vx += memory[k] * filters.path[k, 2]
+        vy += memory[k] * filters.path[k, 3]
+        spread += memory[k] * filters.path[k, 6]
+    found[0] = mean_of(rules.densities, memory[:q])
+    for n, (bank, prior) in enumerate(((filters.body, rules.body), (filters.head, rules.head))):
+        angle, kappa = angles[2 * n], angles[2 * n + 1]
+        for k in range(d):
+            bank[k, 0], bank[k, 1] = diffused(bank[k, 0], bank[k, 1], rules.diffusions[k] * dt)
+            if kappa > 0.0:
+                bank[k, 0], bank[k, 1], density = observed_angle(
+                    bank[k, 0], bank[k, 1], angle, kappa, rules.outliers
+                )
+                bank[k, 2] += density
+        set_posterior(bank, 2, prior, memory[:d])
+        found[1 + n] = mean_of(rules.diffusions, memory[:d])
+    speed = math.sqrt(vx * vx + vy * vy)
+    excess = max(0.0, speed - rules.speed_threshold)
+    weight = 1.0
+    if 0.0 < dt < rules.correlation_time:
+        weight = dt / rules.correlation_time
+    for k in range(len(rules.couplings)):
+        own = filters.coupled[k]
+        bx, by = diffused(own[0], own[1], found[1] * dt)
+        follows = weight * rules.couplings[k, 0] * excess * excess
+        if follows > 0.0:
+            # The direction of an uncertain velocity.
+            follows = 1.0 / (1.0 / follows + spread / (speed * speed))
+            bx, by = bx + follows * vx / speed, by + follows * vy / speed
+        if angles[1] > 0.0:
+            bx, by, density = observed_angle(bx, by, angles[0], angles[1], rules.outliers)
+            own[4] += density
+        hx, hy = diffused(own[2], own[3], found[2] * dt)
+        follows, size = weight * rules.couplings[k, 1], math.sqrt(bx * bx + by * by)
+        if follows > 0.0 and size > 0.0:
+            follows = 1.0 / (1.0 / follows + 1.0 / size)
+            hx, hy = hx + follows * bx / size, hy + follows * by / size
+        if angles[3] > 0.0:
+            hx, hy, density = observed_angle(hx, hy, angles[2], angles[3], rules.outliers)
+            own[4] += density
+        own[0], own[1], own[2], own[3] = bx, by, hx, hy
+    set_posterior(filters.coupled, 4, rules.coupling, shares)
+
+
+def _rehearse() -> None:
+    track = replace(TRACK, head=np.zeros(len(TRACK)))
+    motion_evidence([track], Parameters(), np.ones(1))
+    turning_evidence([track], "head", Parameters(), np.ones(1))
+
+
+REHEARSAL = Rehearsal("learned constants", _rehearse, 3.0)
+
+
+def _rehearse_online() -> None:
+    one = np.ones(1)
+    rules = Rules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, 0.0)
+    observe(Filters.new(rules), rules, np.ones(8), np.zeros(1), np.zeros(1), np.zeros(3))
+
+
+ONLINE_REHEARSAL = Rehearsal("learned constants online", _rehearse_online, 4.0)

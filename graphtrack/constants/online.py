@@ -1,0 +1,476 @@
+"""The online smoother: one person, whose constants are learned with every observation.
+
+The observations so far, each predicted from those before, are the evidence of constants (see `filters`). A
+new step has their posterior means. The ways in which orientations can follow the motion are solved side by
+side, with the engines ``chain`` and ``fixed-lag``; one that is ruled out is dropped. With ``isam2`` the most
+probable one is solved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphtrack.constants.filters import ONLINE_REHEARSAL, Filters, Rules, observe
+from graphtrack.constants.personal import (
+    Constants,
+    alternatives_of,
+    is_learned,
+    mixture,
+    places_of,
+    population_of,
+)
+from graphtrack.constants.population import (
+    DENSITIES,
+    DIFFUSIONS,
+    CouplingAlternative,
+    Evidence,
+    Population,
+)
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_kappa,
+    concentration_from_resultant,
+    mean_resultant_length,
+    vectors_of,
+    wrapped,
+)
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.walkable import AreaLike
+from graphtrack.inference.engines import OnlineEngine, PersonalConstants
+from graphtrack.inference.online import OnlineSolver
+from graphtrack.inference.state import Estimate, Status
+from graphtrack.kernels.compilation import make_ready
+from graphtrack.model import Model, Observation
+from graphtrack.model.observation import OwnParameters
+from graphtrack.model.parameters import Parameters, steady
+from graphtrack.model.same_time import SAME_TIME
+from graphtrack.saved import DAMAGES, damaged, pack_tree, real, unpack_tree
+from graphtrack.tracks.display import html_pairs
+
+_RULED_OUT = 0.01
+"""Probability of an alternative below which it is dropped."""
+
+_FAR_MORE_PROBABLE = 2.0
+"""Ratio of probabilities from which the one alternative of ``isam2`` is exchanged."""
+
+
+@lru_cache(64)
+def _rules_of(
+    parameters: Parameters,
+    alternatives: tuple[CouplingAlternative, ...],
+    couplings: tuple[tuple[float, float], ...],
+    prior: Population,
+) -> Rules:
+    """Return the rules of the filters; ``couplings``: κ₁ and κ₂ of each alternative."""
+    return Rules(
+        DENSITIES,
+        DIFFUSIONS,
+        np.array(couplings),
+        np.log(prior.acceleration_density),
+        np.log(prior.body_diffusion),
+        np.log(prior.head_diffusion),
+        np.log(prior.coupling_of(alternatives)),
+        parameters.motion.initial_speed_std**2,
+        parameters.coupling.speed_threshold,
+        parameters.coupling.correlation_time,
+        parameters.likelihood.outlier_probability,
+    )
+
+
+class Learner:
+    """The constants of one person, by the observations so far.
+
+    Attributes
+    ----------
+    alternatives : the couplings that are possible
+    weights : (k,) their probabilities
+    """
+
+    def __init__(self, model: Model, prior: Population) -> None:
+        self.alternatives, self._places = alternatives_of(model), list(places_of(model))
+        self._parameters, coupling = model.parameters, model.parameters.coupling
+        self._couplings = tuple(
+            (one.motion_body * coupling.motion_body_kappa, one.head_body * coupling.head_body_kappa)
+            for one in self.alternatives
+        )
+        self.prior = prior
+        self._filters, self._t = Filters.new(self._rules), math.nan
+        self._memory, self._means = np.zeros(max(len(DENSITIES), len(DIFFUSIONS))), np.zeros(3)
+        self.weights = prior.coupling_of(self.alternatives)
+
+    @property
+    def prior(self) -> Population:
+        """The population of the scene."""
+        return self._prior
+
+    @prior.setter
+    def prior(self, prior: Population) -> None:
+        self._prior = prior
+        self._rules = _rules_of(self._parameters, self.alternatives, self._couplings, prior)
+
+    def observe(self, observation: Observation) -> None:
+        """Learn from an observation that is later than those before."""
+        t, likelihood = observation.t, self._parameters.likelihood
+        x, y = (math.nan, math.nan) if observation.position is None else observation.position
+        std = observation.position_std
+        std = likelihood.position_std if std is None else likelihood.position_scale * std
+        row = [0.0 if math.isnan(self._t) else t - self._t, x, y, std * std]
+        row += _direction_of(observation, "body", self._parameters)
+        row += _direction_of(observation, "head", self._parameters)
+        observe(self._filters, self._rules, np.array(row), self._memory, self.weights, self._means)
+        self._t = t
+
+    def copied(self) -> Learner:
+        """Return a copy with a memory of its own."""
+        other = copy(self)
+        other._filters = Filters(*(rows.copy() for rows in self._filters))
+        other.weights, other._means = self.weights.copy(), self._means.copy()
+        return other
+
+    def own(self, alternative: int) -> OwnParameters:
+        """Return the parameters of a new step under an alternative."""
+        density, body, head = self._means.tolist()
+        return OwnParameters(density, body, head, *self._couplings[alternative])
+
+    @property
+    def constants(self) -> PersonalConstants:
+        """The constants, as far as they are known."""
+        names = (one.name for one in self.alternatives)
+        coupling = dict(zip(names, self.weights.tolist(), strict=True))
+        density, body, head = self._means.tolist()
+        return PersonalConstants(density, body, head, coupling)
+
+    def evidence(self) -> Evidence:
+        """Return what the observations say of the constants."""
+        return Evidence(
+            self._filters.path[:, 7].copy(),
+            self._filters.body[:, 2].copy(),
+            self._filters.head[:, 2].copy(),
+            self._filters.coupled[self._places, 4],
+        )
+
+    def state(self) -> dict[str, Any]:
+        """The complete state as JSON-able data."""
+        arrays = {**self._filters._asdict(), "weights": self.weights, "means": self._means}
+        return {"t": self._t if math.isfinite(self._t) else None, "filters": pack_tree(arrays)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`; an error of `DAMAGES` for other data."""
+        arrays = unpack_tree(state["filters"])
+        for name, rows in {**self._filters._asdict(), "weights": self.weights, "means": self._means}.items():
+            rows[:] = arrays[name].reshape(rows.shape)
+        self._t = math.nan if state["t"] is None else real(state["t"])
+
+
+def _direction_of(observation: Observation, name: str, parameters: Parameters) -> tuple[float, float]:
+    """Return the observed angle of "body" or "head" and its concentration; 0 without."""
+    classes = getattr(observation, f"{name}_likelihood")
+    if classes is not None:
+        ((x, y),) = vectors_of(None, np.array([classes]), 1).tolist()
+        length = math.hypot(x, y) * float(mean_resultant_length(class_kappa(len(classes))))
+        return math.atan2(y, x), float(concentration_from_resultant(length))
+    angle = getattr(observation, name)
+    if angle is None:
+        return 0.0, 0.0
+    kappa, likelihood = getattr(observation, f"{name}_kappa"), parameters.likelihood
+    if kappa is None:
+        return angle, getattr(likelihood, f"{name}_kappa")
+    return angle, kappa / getattr(likelihood, f"{name}_scale") ** 2
+
+
+class OnlineSmoother:
+    """Track one person online.
+
+    The first call on a machine compiles, which takes about half a minute; see `warm_up`.
+
+    Parameters
+    ----------
+    model : a `Model`, the name of a preset or a model file; by default "joint"
+    constants : "learn": those of the person; a `Population` or its file: the same, with the prior that people
+        before have in common; "default": those of the model. By default "learn" with the default model, and
+        "default" with another
+    engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
+        "isam2"
+    lag : seconds of history that are re-estimated; None: all of it, with isam2
+    camera : camera of the scene, for observations in pixels
+    walkable : area in which the person walks, in metres: a file of GeoJSON or well-known text, or a polygon
+        of Shapely or PedPy. The walls of a frame are those near its observed position or, without one, near
+        the last estimate; they are part of `state`, the area is not
+    relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
+        again (metres, m/s, radians)
+    step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
+        than this (metres, m/s, radians); the default mostly takes one or two steps, without larger errors
+    max_iterations : most steps for an observation
+
+    Attributes
+    ----------
+    learner : the constants of the person; None if they are the model's
+
+    Examples
+    --------
+    >>> smoother = OnlineSmoother(lag=2.0)
+    >>> estimate = smoother.update(Observation(t=0.0, position=(1.0, 2.0), head=0.3))
+    >>> estimate.status
+    'new'
+    """
+
+    def __init__(
+        self,
+        model: Model | str | Path | None = None,
+        *,
+        constants: Constants | None = None,
+        engine: OnlineEngine = "auto",
+        lag: float | None = 2.0,
+        camera: GroundCamera | None = None,
+        walkable: AreaLike | None = None,
+        relinearize_threshold: float = 0.05,
+        step_tolerance: float = 0.05,
+        max_iterations: int = 20,
+    ) -> None:
+        chosen = Model.named(model)
+        learns = is_learned(constants, chosen)
+        prior = Population()
+        if learns:
+            prior = population_of("learn" if constants is None else constants) or prior
+            make_ready("the learned constants", ONLINE_REHEARSAL)
+            # The learned constants are all of the model: nothing inflates its covariances.
+            chosen = chosen.with_parameters(steady(chosen.parameters))
+        self._options: dict[str, Any] = {
+            "engine": engine,
+            "lag": lag,
+            "camera": camera,
+            "walkable": walkable,
+            "relinearize_threshold": relinearize_threshold,
+            "step_tolerance": step_tolerance,
+            "max_iterations": max_iterations,
+        }
+        self.learner = Learner(chosen, prior) if learns else None
+        first = OnlineSolver(chosen, **self._options)
+        self._given: dict[str, Any] = {"model": model, "constants": constants, **self._options}
+        self.model, self.engine, self.lag, self.camera = first.model, first.engine, first.lag, first.camera
+        if learns and walkable is None:
+            self.model = Model.named(model)
+        # Number of an alternative → its solver; without learned constants there is one.
+        self._solvers = {0: first}
+        if self.learner is not None:
+            self._chosen = chosen
+            likely = int(np.argmax(self.learner.weights))
+            some = [likely] if self.engine == "isam2" else range(len(self.learner.weights))
+            self._solvers = {k: first if n == 0 else self._another() for n, k in enumerate(some)}
+        self._last: Estimate | None = None
+        # The learner before the newest observation, in case that no solver can use it.
+        self._before: Learner | None = None
+
+    def _another(self) -> OnlineSolver:
+        return OnlineSolver(self._chosen, **self._options)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by `state`, with what `from_state` says of engines."""
+        return partial(OnlineSmoother.from_state, **self._given), (self.state(),)
+
+    def __repr__(self) -> str:
+        return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
+
+    def _repr_html_(self) -> str:
+        return html_pairs("OnlineSmoother", {**self._described(), "last": self._last})
+
+    def _described(self) -> dict[str, object]:
+        learned = {} if self.learner is None else {"constants": self.learner.constants.described()}
+        return {**self._best.described(), "model": self.model, **learned}
+
+    @property
+    def _best(self) -> OnlineSolver:
+        """The solver of the most probable alternative."""
+        if self.learner is None:
+            return self._solvers[0]
+        weights = self.learner.weights
+        return self._solvers[max(self._solvers, key=lambda k: (weights[k], k))]
+
+    @property
+    def constants(self) -> PersonalConstants | None:
+        """The constants of the person, as far as they are known; None if they are the model's."""
+        return None if self.learner is None else self.learner.constants
+
+    @property
+    def last(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+        return self._last
+
+    @property
+    def window(self) -> tuple[float, float] | None:
+        """Earliest and latest time (seconds) that out-of-sequence observations may have, or None."""
+        return self._best.window
+
+    def history(self) -> list[tuple[float, FloatArray]]:
+        """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
+        return self._best.history()
+
+    def usable(self, observation: Observation) -> Observation:
+        """Return the checked observation, with the position of its pixel; InputError as `update`."""
+        return self._best.usable(observation)
+
+    def unchanged(self, observation: Observation, status: Status) -> Estimate:
+        """Return the last estimate, with a status, for an observation that is not used."""
+        found = self._best.unchanged(observation, status)
+        return found if self._last is None else replace(self._last, status=status)
+
+    def update(self, observation: Observation) -> Estimate:
+        """Add one observation and return the estimate at the latest time.
+
+        Raises
+        ------
+        InputError
+            If a time or value is not a number within bounds. The state is then unchanged.
+        """
+        self._best.note_unused(observation)
+        (estimate,) = self.update_together([self], [self.usable(observation)])
+        return estimate
+
+    @staticmethod
+    def update_together(
+        smoothers: Sequence[OnlineSmoother],
+        observations: Sequence[Observation],
+        threads: ThreadPoolExecutor | None = None,
+    ) -> list[Estimate]:
+        """Make each smoother's `update`, of observations as from `usable`; ``threads`` run compiled code."""
+        solvers: list[OnlineSolver] = []
+        given: list[Observation] = []
+        own: list[OwnParameters | None] = []
+        for smoother, observation in zip(smoothers, observations, strict=True):
+            smoother._learn(observation)
+            for k, solver in smoother._solvers.items():
+                solvers.append(solver)
+                given.append(observation)
+                own.append(None if smoother.learner is None else smoother.learner.own(k))
+        found = iter(OnlineSolver.update_together(solvers, given, threads, own))
+        return [smoother._combined([next(found) for _ in smoother._solvers]) for smoother in smoothers]
+
+    def _learn(self, observation: Observation) -> None:
+        """Learn from an observation, unless it is late, and drop the alternatives that it rules out."""
+        window, learner = self.window, self.learner
+        self._before = None
+        if learner is None or (window is None and observation.position is None):
+            return
+        if window is not None and observation.t - window[1] < SAME_TIME:
+            return
+        self._before = learner.copied()
+        learner.observe(observation)
+        if len(learner.weights) == 1:
+            return
+        likely = int(np.argmax(learner.weights))
+        if self.engine == "isam2":
+            ((present, solver),) = self._solvers.items()
+            if learner.weights[likely] > _FAR_MORE_PROBABLE * learner.weights[present]:
+                one = learner.own(likely)
+                solver.with_couplings(one.motion_body_kappa, one.head_body_kappa)
+                self._solvers = {likely: solver}
+            return
+        if likely in self._solvers and len(self._solvers) > 1:
+            kept = {k: one for k, one in self._solvers.items() if learner.weights[k] >= _RULED_OUT}
+            self._solvers = kept or self._solvers
+
+    def _combined(self, estimates: Sequence[Estimate]) -> Estimate:
+        """Return the mean of the estimates of the alternatives, with the status of the most probable."""
+        if self._before is not None and all(one.status == "failed" for one in estimates):
+            self.learner = self._before
+        if len(estimates) == 1 or self.learner is None:
+            self._last = _kept(estimates[0], self._last)
+            return estimates[0]
+        weights = self.learner.weights[list(self._solvers)]
+        best = estimates[int(np.argmax(weights))]
+        used = [k for k, one in enumerate(estimates) if one.status == best.status]
+        if len(used) == 1 or not np.isfinite(best.position).all():
+            self._last = _kept(best, self._last)
+            return best
+        some = [estimates[k] for k in used]
+        weights = weights[used] / weights[used].sum()
+        states = np.array([[*one.position, *one.velocity, one.body, one.head] for one in some])
+        covariance = np.stack([one.covariance for one in some])
+        ((state,), (total,)) = mixture(states[:, None], covariance[:, None], weights)
+        body, head = map(wrapped, state[4:].tolist())
+        found = replace(best, position=state[:2], velocity=state[2:4], body=body, head=head, covariance=total)
+        self._last = _kept(found, self._last)
+        return found
+
+    def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
+        """Remove the observations since a time in seconds, and add positioned observations in order.
+
+        Returns the estimate at the latest time, or None, without a change, if the window has nothing older.
+        """
+        found = [one.revise(since, observations) for one in self._solvers.values()]
+        known = [one for one in found if one is not None]
+        return self._combined(known) if len(known) == len(found) else None
+
+    def state(self) -> dict[str, Any]:
+        """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
+        return self.later_state()()
+
+    def later_state(self) -> Callable[[], dict[str, Any]]:
+        """Return a function that computes the present `state` later."""
+        later = {k: one.later_state() for k, one in self._solvers.items()}
+        if self.learner is None:
+            return later[0]
+        learned, prior = self.learner.state(), self.learner.prior.to_dict()
+
+        def packed() -> dict[str, Any]:
+            solvers = [[k, one()] for k, one in later.items()]
+            return {"learned": learned, "population": prior, "solvers": solvers}
+
+        return packed
+
+    @classmethod
+    def from_state(
+        cls, state: dict[str, Any], model: Model | str | Path | None = None, **options: Any
+    ) -> OnlineSmoother:
+        """Restore a smoother from `state`, given the same model and options.
+
+        Its estimates are bit-identical where both engines are chain or fixed-lag; else they are those of a
+        rebuilt window, within the tolerances of the solver.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, of another version, or of a model with other terms.
+        """
+        smoother = cls(model, **options)
+        smoother._restore(state)
+        return smoother
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        has_learned = isinstance(state, dict) and "learned" in state
+        learner = self.learner
+        if has_learned != (learner is not None):
+            found = "learned constants" if has_learned else "the constants of a model"
+            raise InputError(f"a state with {found}", "a state of the same option constants")
+        if learner is None:
+            self._solvers = {0: OnlineSolver.from_state(state, self._given["model"], **self._options)}
+        else:
+            try:
+                self.learner = learner = Learner(self._chosen, Population.from_dict(state["population"]))
+                learner.restore(state["learned"])
+                saved = {int(k): one for k, one in state["solvers"]}
+                if not saved or not set(saved) <= set(range(len(learner.weights))):
+                    raise ValueError(f"alternatives {sorted(saved)}")
+            except DAMAGES as error:
+                raise damaged(error) from error
+            self._solvers = {
+                k: OnlineSolver.from_state(one, self._chosen, **self._options) for k, one in saved.items()
+            }
+        lasts = [one.last for one in self._solvers.values()]
+        if all(one is not None for one in lasts):
+            self._combined([one for one in lasts if one is not None])
+
+
+def _kept(found: Estimate, before: Estimate | None) -> Estimate | None:
+    """Return the estimate that is the last one now."""
+    return before if found.status in ("waiting", "failed", "duplicate", "too-late") else found
