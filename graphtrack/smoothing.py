@@ -48,7 +48,6 @@ from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.given import notes_on
 from graphtrack.model.observation import observations
-from graphtrack.model.parameters import steady
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
@@ -201,16 +200,14 @@ def _with_learned(
     progress: Progress | None = None,
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
-    # The learned constants are all of the model: nothing inflates its covariances.
-    plain = model.with_parameters(steady(model.parameters))
     known = None if constants is None else population_of(constants)
 
     def smoothed(
-        some: TrackSet, own: Mapping[str, FloatArray], done: Progress | None
+        some: TrackSet, model: Model, own: Mapping[str, FloatArray], done: Progress | None
     ) -> list[Solution | Failure]:
-        return solve_each(some, plain, engine, personal=own, progress=done, **options)
+        return solve_each(some, model, engine, personal=own, progress=done, **options)
 
-    return solve_learned(tracks, plain, smoothed, known, progress)
+    return solve_learned(tracks, model, smoothed, known, progress)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:

@@ -27,7 +27,7 @@ from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.smoothing import solve, track_online
 from graphtrack.tracks.track import Track, TrackSet
 
-PRESETS = ("position", "separate", "joint", "joint-intentional", "full")
+PRESETS = ("position", "separate", "joint", "joint-intentional")
 OFFLINE, ONLINE = 1e-8, 1e-6
 
 
@@ -48,7 +48,7 @@ def cases() -> Iterator[tuple[str, TrackSet, Model]]:
         yield f"walks {preset}", TrackSet(tuple(walks())), Model(preset)
     for robust in ("huber", "cauchy"):
         likelihood = LikelihoodParameters(robust=robust, robust_threshold=2.0)
-        for preset in ("joint", "full"):
+        for preset in ("joint", "joint-intentional"):
             model = Model(preset, Parameters(likelihood=likelihood))
             yield f"{robust} {preset}", TrackSet(tuple(walks())), model
     for seed in range(30):

@@ -88,7 +88,7 @@ SHORT: dict[str, tuple[Callable[[], object], str]] = {
         "Track(0, 20 frames, 0.0–1.9 s, body, head; estimates)",
     ),
     "model": (lambda: gt.Model("joint"), "Model('joint')"),
-    "model with a term": (lambda: gt.Model("full", terms=[Nasty]), "Model('full', Nasty)"),
+    "model with a term": (lambda: gt.Model("separate", terms=[Nasty]), "Model('separate', Nasty)"),
     "model with parameters": (lambda: gt.Model("separate", CHANGED), SAID_OF_CHANGED),
     "nobody yet": (
         lambda: online(0),

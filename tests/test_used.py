@@ -44,9 +44,6 @@ def _person(track_id: int, y: float) -> Track:
         covariance=np.tile(np.diag([0.01, 0.02, 0.1, 0.1, 0.2, 0.3]), (N, 1, 1)),
         identity_p=np.full(N, 0.8),
         observed=np.ones(N),
-        aligned_p=np.full(N, 0.4),
-        gait_offset=np.full(N, 0.2),
-        glance_p=np.full(N, 0.1),
         true_position=position + 0.01,
         true_body=np.full(N, 0.15),
         true_head=np.full(N, 0.25),
@@ -66,8 +63,6 @@ def scene_of(name: str) -> TrackSet:
     """The scene, with class likelihoods in place of angles where these are to be changed."""
     if "likelihood" not in name and "_p" not in name.replace("pos_std", "").replace("identity_p", ""):
         return FULL.map(lambda one: replace(one, **dict.fromkeys(CLASSES)))
-    if name in ("aligned_p", "glance_p"):
-        return FULL
     return FULL.map(lambda one: replace(one, **CLASSES, **dict.fromkeys(NO_CLASSES)))
 
 

@@ -17,12 +17,12 @@ from graphtrack.tracks.scene import SceneParameters
 ENTRY = re.compile(r"^    (?P<names>\w+(?:, \w+)*) : (?P<text>.*(?:\n        .*)*)", flags=re.M)
 INTRODUCTION = """# Parameters
 
-A model file is TOML. `preset` names a preset (default: `full`); each table below is a table of the file.
+A model file is TOML. `preset` names a preset (default: `joint`); each table below is a table of the file.
 A key that is left out keeps the default of its preset. A value outside its range is an error. Symbols
 are those of [the model](../model.md).
 
 ```toml
-preset = "full"
+preset = "joint"
 
 [motion]
 acceleration_density = 0.3

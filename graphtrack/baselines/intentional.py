@@ -289,7 +289,7 @@ def intentional_tracker(
     parameters = Parameters() if parameters is None else parameters
     states = intentional_states(track, parameters, rate)
     covariance = full_covariance(states.spread[0])
-    return as_track(track, GaussianStates(states.mean[0], covariance), parameters.motion)
+    return as_track(track, GaussianStates(states.mean[0], covariance))
 
 
 def mean_deviation(track: Track, seconds: float) -> FloatArray:

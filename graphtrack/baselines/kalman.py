@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.observation import require_position
-from graphtrack.model.parameters import MotionParameters, Parameters, with_oscillation
+from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
 
@@ -225,12 +225,10 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
     return GaussianStates(mean, covariance)
 
 
-def as_track(track: Track, states: GaussianStates, motion: MotionParameters | None = None) -> Track:
-    """The track with these estimates and no orientations; ``motion`` adds the sway of hips."""
+def as_track(track: Track, states: GaussianStates) -> Track:
+    """The track with these estimates and no orientations."""
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
-    if motion is not None:
-        with_oscillation(covariance, motion)
     return track.with_estimates(
         position=states.mean[:, :2], velocity=states.mean[:, 2:], body=None, head=None, covariance=covariance
     )
@@ -239,10 +237,10 @@ def as_track(track: Track, states: GaussianStates, motion: MotionParameters | No
 def kalman_filter(track: Track, parameters: Parameters | None = None) -> Track:
     """Online estimates: each uses only what came before."""
     parameters = Parameters() if parameters is None else parameters
-    return as_track(track, filter_states(track, parameters)[0], parameters.motion)
+    return as_track(track, filter_states(track, parameters)[0])
 
 
 def rauch_tung_striebel(track: Track, parameters: Parameters | None = None) -> Track:
     """Offline estimates of the linear model: its exact posterior."""
     parameters = Parameters() if parameters is None else parameters
-    return as_track(track, smooth_states(track, parameters), parameters.motion)
+    return as_track(track, smooth_states(track, parameters))

@@ -2,8 +2,7 @@
 
 A bootstrap filter on the `Model` of the factor graph with the state p, v, θ, α. The angles are drawn from the
 *normalised* product of the von Mises of their dynamics and of their coupling (eq. 8 and 10). Chen et al.'s
-baseline, κ₂ = 0, is the preset ``joint-body``. With ``full`` each particle also draws the modes of its two
-couplings from their Markov chain; the leads loosen the couplings, as in the newest frame of the chain.
+baseline, κ₂ = 0, is the preset ``joint-body``.
 """
 
 from __future__ import annotations
@@ -172,7 +171,6 @@ class _FilterOutput:
     covariance: FloatArray
     log_evidence: FloatArray
     effective_sample_size: FloatArray
-    mode_means: FloatArray
     history: FloatArray
     history_log_weights: FloatArray
     recovered: list[int]
@@ -200,7 +198,7 @@ def particle_filter(
     model, options = Model.named(model), ParticleOptions() if options is None else options
     make_ready("the particle filter", _REHEARSAL)
     found = _filter(track, model, camera, options, generator(seed), keep=False)
-    return _estimate(track, model, found, found.mean, found.covariance, found.mode_means)
+    return _estimate(track, model, found, found.mean, found.covariance)
 
 
 def particle_smoother(
@@ -214,11 +212,9 @@ def particle_smoother(
     """Offline estimates by forward filtering and backward simulation (Godsill, Doucet & West 2004).
 
     The finer the frames, the more particles it takes. NaN before the first position. Errors are those of
-    `particle_filter`; a model with modes is an `InputError`, too.
+    `particle_filter`.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
-    if model.has_modes:
-        raise InputError("modes of the couplings, which the particle smoother does not know", "joint")
     make_ready("the particle smoother", _REHEARSAL)
     rng = generator(seed)
     found = _filter(track, model, camera, options, rng, keep=True)
@@ -273,24 +269,23 @@ def _filter(
         np.full((n, 6, 6), np.nan),
         np.full(n, np.nan),
         np.full(n, np.nan),
-        np.full((n, 2), np.nan),
         np.full((n if keep else 0, count, 6), np.nan),
         np.full((n if keep else 0, count), np.nan),
         [],
     )
-    particles, held = np.zeros((2, count, 6)), np.zeros((2, count, 2), dtype=np.int64)
+    particles = np.zeros((2, count, 6))
     speed = model.parameters.motion.initial_speed_std
     particles[0, :, :4] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
-    given: tuple[Any, ...] = (job.motion, job.modes, job.position, job.body, job.head, job.camera)
+    given: tuple[Any, ...] = (job.motion, job.position, job.body, job.head, job.camera)
     given += (options.resample_below, found.mean, found.covariance, found.log_evidence)
-    given += (found.effective_sample_size, found.mode_means, found.history, found.history_log_weights)
+    given += (found.effective_sample_size, found.history, found.history_log_weights)
     k, mode, used = start, FIRST, POSITION
     while True:
-        k, half = run(rng, k, mode, used, particles, held, log_weights, *given)
+        k, half = run(rng, k, mode, used, particles, log_weights, *given)
         if k == n:
             break
-        particles[0], held[0] = particles[half], held[half]
+        particles[0] = particles[half]
         used = recover(job, k, particles[0], speed, rng)
         log_weights[:] = -np.log(count)
         found.recovered.append(k)
@@ -313,16 +308,12 @@ def _estimate(
     found: _FilterOutput,
     mean: FloatArray,
     covariance: FloatArray,
-    modes: FloatArray | None = None,
 ) -> ParticleEstimate:
-    modes = modes if model.has_modes else None
     estimate = track.with_estimates(
         position=mean[:, :2],
         velocity=mean[:, 2:4],
         body=mean[:, 4] if model.has_body else None,
         head=mean[:, 5] if model.has_head else None,
         covariance=covariance,
-        aligned_p=None if modes is None else modes[:, 0],
-        gait_offset=None if modes is None else modes[:, 1],
     )
     return ParticleEstimate(estimate, found.log_evidence, found.effective_sample_size, tuple(found.recovered))

@@ -1,20 +1,17 @@
 """Compiled steps of particle filters: log-weights, resampling, seeding, moves, and backward simulation.
 
-A particle is x, y, vx, vy (metres, m/s), body, head (radians), and the modes of its two couplings, as places
-in the tables of `PackedModes`.
+A particle is x, y, vx, vy (metres, m/s), body and head (radians).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_model import (
     PackedCamera,
-    PackedModes,
     PackedMotion,
     PackedPose,
     PackedPosition,
@@ -27,7 +24,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
-from graphtrack.model.coupling_modes import BODY_MODE, HEAD_MODE, loosened
 from graphtrack.model.terms.couplings import squared_excess
 from graphtrack.model.terms.motion import STANDSTILL
 
@@ -120,49 +116,6 @@ def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
 
 
 @compiled
-def draw_modes(
-    rng: np.random.Generator, k: int, first: bool, before: NDArray[np.int64], modes: PackedModes, after: Any
-) -> None:
-    """Draw the modes (2,) of one particle at frame k, from those before unless it is the ``first``."""
-    count = modes.initial.shape[1]
-    if count == 1:
-        return
-    for side in range(2):
-        reached = modes.initial[side] if first else modes.transitions[side, modes.step[k], before[side]]
-        target, low, high = rng.random() * reached[count - 1], 0, count - 1
-        while low < high:
-            middle = (low + high) // 2
-            if reached[middle] > target:
-                high = middle
-            else:
-                low = middle + 1
-        after[side] = low
-
-
-@compiled
-def steering_share(mode: NDArray[np.int64], is_observed: bool, modes: PackedModes) -> float:
-    """Share of its rate at which the head steers: as far as it points where the motion goes."""
-    body, head = mode[BODY_MODE], mode[HEAD_MODE]
-    forth = modes.table.held_cos[BODY_MODE, body] * modes.table.held_cos[HEAD_MODE, head]
-    forth -= modes.table.held_sin[BODY_MODE, body] * modes.table.held_sin[HEAD_MODE, head]
-    return (modes.observed_share if is_observed else 1.0) * max(forth, 0.0)
-
-
-@compiled
-def coupling(
-    side: int, mode: int, k: int, kappa: float, excess: float, modes: PackedModes
-) -> tuple[float, float, float]:
-    """Concentration, and cosine and sine of the offset, of a coupling; κ is that of the aligned mode."""
-    cos, sin = modes.table.cos[side, mode], modes.table.sin[side, mode]
-    size = math.sqrt(cos * cos + sin * sin)
-    if not size * kappa * excess > 0.0:
-        return 0.0, 1.0, 0.0
-    given = kappa * size
-    remains = loosened(given, excess, modes.lead[side], modes.weight[k], modes.diffusion)
-    return given * excess * remains, cos / size, sin / size
-
-
-@compiled
 def draw_angles(
     rng: np.random.Generator,
     k: int,
@@ -170,30 +123,25 @@ def draw_angles(
     before: FloatArray,
     after: FloatArray,
     motion: PackedMotion,
-    mode: NDArray[np.int64],
-    modes: PackedModes,
 ) -> None:
-    """Angles of one particle, of known velocity and modes (2,), from the normalised products of Chen et al.
-    2011, eq. 8 and 10."""
+    """Angles of a particle of known velocity, from the products of Chen et al. 2011, eq. 8 and 10."""
     if motion.has_body:
         vx, vy = after[2], after[3]
-        excess = squared_excess(vx, vy, motion.speed_threshold)
-        pull, cos, sin = coupling(BODY_MODE, mode[BODY_MODE], k, motion.motion_body_kappa[k], excess, modes)
+        pull = motion_pull(vx, vy, k, motion)
         kappa = 0.0 if first else motion.body_turn_kappa[k]
         if pull > 0.0:
             speed = math.sqrt(vx * vx + vy * vy)
-            east = kappa * math.cos(before[4]) + pull * (vx * cos - vy * sin) / speed
-            north = kappa * math.sin(before[4]) + pull * (vy * cos + vx * sin) / speed
+            east = kappa * math.cos(before[4]) + pull * vx / speed
+            north = kappa * math.sin(before[4]) + pull * vy / speed
             after[4] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
         else:
             after[4] = sample_von_mises(rng, before[4], kappa)
     if motion.has_head:
-        pull, cos, sin = coupling(HEAD_MODE, mode[HEAD_MODE], k, motion.head_body_kappa[k], 1.0, modes)
+        pull = motion.head_body_kappa[k]
         kappa = 0.0 if first else motion.head_turn_kappa[k]
         if pull > 0.0:
-            body_cos, body_sin = math.cos(after[4]), math.sin(after[4])
-            east = kappa * math.cos(before[5]) + pull * (body_cos * cos - body_sin * sin)
-            north = kappa * math.sin(before[5]) + pull * (body_sin * cos + body_cos * sin)
+            east = kappa * math.cos(before[5]) + pull * math.cos(after[4])
+            north = kappa * math.sin(before[5]) + pull * math.sin(after[4])
             after[5] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
         else:
             after[5] = sample_von_mises(rng, before[5], kappa)
@@ -205,14 +153,13 @@ def carry(
     motion: PackedMotion,
     before: FloatArray,
     ancestors: NDArray[np.int64],
-    shares: NDArray[np.int64],
     after: FloatArray,
 ) -> None:
-    """Mean positions and velocities (n, …) at frame k, straight on or steered by ``shares``."""
+    """Mean positions and velocities (n, …) at frame k, straight on or steered by the head."""
+    keep, reach = motion.keep[k], motion.reach[k]
+    gain, far = 1.0 - keep, motion.dt[k] - reach
     for i in range(len(after)):
         source = ancestors[i]
-        keep, reach = motion.keep[k, shares[i]], motion.reach[k, shares[i]]
-        gain, far = 1.0 - keep, motion.dt[k] - reach
         x, y, vx, vy = before[source, 0], before[source, 1], before[source, 2], before[source, 3]
         after[i, 0], after[i, 1] = x + reach * vx, y + reach * vy
         after[i, 2], after[i, 3] = keep * vx, keep * vy
@@ -235,13 +182,12 @@ def draw_motion(
     motion: PackedMotion,
     before: FloatArray,
     ancestors: NDArray[np.int64],
-    shares: NDArray[np.int64],
     after: FloatArray,
 ) -> None:
     """Positions and velocities (n, …) at frame k: where they are carried to, and the noise."""
-    carry(k, motion, before, ancestors, shares, after)
+    carry(k, motion, before, ancestors, after)
+    a, b, c = motion.root[k]
     for i in range(len(after)):
-        a, b, c = motion.root[k, shares[i]]
         for axis in range(2):
             first = rng.standard_normal()
             after[i, axis] += a * first
@@ -325,28 +271,6 @@ def summarise(
             covariance[4, 5] = covariance[5, 4] = math.nan
 
 
-@compiled
-def summarise_modes(
-    held: NDArray[np.int64], weights: FloatArray, modes: PackedModes, found: FloatArray
-) -> None:
-    """Write the probability of an aligned body, and its expected offset from the motion in radians."""
-    aligned = cos = sin = 0.0
-    for i in range(len(weights)):
-        mode = held[i, BODY_MODE]
-        aligned += weights[i] * modes.table.aligned[BODY_MODE, mode]
-        cos += weights[i] * modes.table.held_cos[BODY_MODE, mode]
-        sin += weights[i] * modes.table.held_sin[BODY_MODE, mode]
-    found[0], found[1] = aligned, math.atan2(sin, cos)
-
-
-@compiled
-def doubted(log_density: float, doubt: float) -> float:
-    """Return the log density of an orientation that is uninformative with the probability ``doubt``."""
-    if doubt == 0.0:
-        return log_density
-    return math.log((1.0 - doubt) * math.exp(log_density) + doubt / (2.0 * math.pi))
-
-
 @allocating
 def run(
     rng: np.random.Generator,
@@ -354,10 +278,8 @@ def run(
     mode: int,
     used: int,
     particles: FloatArray,
-    held: NDArray[np.int64],
     log_weights: FloatArray,
     motion: PackedMotion,
-    modes: PackedModes,
     position: PackedPosition,
     body: PackedPose,
     head: PackedPose,
@@ -367,7 +289,6 @@ def run(
     covariance: FloatArray,
     log_evidence: FloatArray,
     sample_size: FloatArray,
-    mode_means: FloatArray,
     history: FloatArray,
     history_log_weights: FloatArray,
 ) -> tuple[int, int]:
@@ -378,11 +299,9 @@ def run(
     mode : how the first frame begins: `PROPAGATE`, `FIRST` or `RECOVERED`
     used : observations of the first frame that do not count: the sum of `POSITION`, `BODY` and `HEAD`
     particles : (2, n, 6): those of the frame before, or of this one, in the first half; both are written
-    held : (2, n, 2) their modes, likewise
     log_weights : (n,) normalised; written
     resample_below : share of n below which the effective sample size calls for resampling
     mean, covariance, log_evidence, sample_size : (frames, …), written
-    mode_means : (frames, 2) probability of an aligned body and its offset in radians, written if it has modes
     history, history_log_weights : (frames, n, 6) and (frames, n) to keep the particles, or of length 0
 
     Returns
@@ -392,9 +311,7 @@ def run(
     """
     n, frames = particles.shape[1], len(motion.dt)
     weights, log_likelihood, ancestors = np.empty(n), np.empty(n), np.arange(n)
-    of_head, shares, finest = np.empty(n), np.zeros(n, np.int64), motion.keep.shape[1] - 1
     normalise(log_weights, weights)
-    has_modes = modes.initial.shape[1] > 1
     has_angles = motion.has_body or motion.has_head
     half = 0
     for k in range(start, frames):
@@ -407,38 +324,22 @@ def run(
                 for i in range(n):
                     ancestors[i] = i
             before, after = particles[half], particles[1 - half]
-            modes_before, modes_after = held[half], held[1 - half]
             half = 1 - half
-            if finest > 0:
-                for i in range(n):
-                    share = steering_share(modes_before[ancestors[i]], position.kind[k] > 0, modes)
-                    shares[i] = round(share * finest)
-            draw_motion(rng, k, motion, before, ancestors, shares, after)
+            draw_motion(rng, k, motion, before, ancestors, after)
             if has_angles:
                 for i in range(n):
-                    draw_modes(rng, k, False, modes_before[ancestors[i]], modes, modes_after[i])
-                    draw_angles(rng, k, False, before[ancestors[i]], after[i], motion, modes_after[i], modes)
+                    draw_angles(rng, k, False, before[ancestors[i]], after[i], motion)
         elif fresh == FIRST:
             for i in range(n):
-                draw_modes(rng, k, True, held[half, i], modes, held[half, i])
-                draw_angles(
-                    rng, k, True, particles[half, i], particles[half, i], motion, held[half, i], modes
-                )
-        now, modes_now = particles[half], held[half]
+                draw_angles(rng, k, True, particles[half, i], particles[half, i], motion)
+        now = particles[half]
         log_likelihood[:] = 0.0
         if not done & POSITION:
             add_position_log_density(now, k, position, camera, log_likelihood)
         if motion.has_body and not done & BODY:
             add_pose_log_density(now, 4, k, body, camera, log_likelihood)
-        if motion.has_head and not done & HEAD and head.components[k] > 0:
-            of_head[:] = 0.0
-            add_pose_log_density(now, 5, k, head, camera, of_head)
-            for i in range(n):
-                # Classifiers are doubted, observed angles are not.
-                doubt = (
-                    modes.table.doubt[HEAD_MODE, modes_now[i, HEAD_MODE]] if head.components[k] > 1 else 0.0
-                )
-                log_likelihood[i] += doubted(of_head[i], doubt)
+        if motion.has_head and not done & HEAD:
+            add_pose_log_density(now, 5, k, head, camera, log_likelihood)
         best = log_likelihood.max()
         for i in range(n):
             log_weights[i] += log_likelihood[i]
@@ -449,8 +350,6 @@ def run(
             return k, half
         summarise(now, weights, motion, mean[k], covariance[k])
         sample_size[k] = effective_sample_size(weights)
-        if has_modes:
-            summarise_modes(modes_now, weights, modes, mode_means[k])
         if len(history):
             history[k] = now
             history_log_weights[k] = log_weights
@@ -470,15 +369,15 @@ def backward(
     frames, n = history_log_weights.shape
     m = paths.shape[1]
     weights, scores, motions = np.empty(n), np.empty(n), np.empty(n)
-    themselves, steering, carried = np.arange(n), np.zeros(n, np.int64), np.empty((n, 4))
+    themselves, carried = np.arange(n), np.empty((n, 4))
     for p in range(m):
         paths[frames - 1, p] = history[
             frames - 1, _draw(rng, history_log_weights[frames - 1], scores, weights)
         ]
     for k in range(frames - 2, start - 1, -1):
         now = history[k]
-        a, b, c = motion.root[k + 1, 0]
-        carry(k + 1, motion, now, themselves, steering, carried)
+        a, b, c = motion.root[k + 1]
+        carry(k + 1, motion, now, themselves, carried)
         for p in range(m):
             ahead = paths[k + 1, p]
             leader = 0

@@ -1,8 +1,4 @@
-"""The model and a track, packed for the particle filter's kernels, and its compiled densities.
-
-Couplings' modes are tables: of each mode and offset its effect, and how one leads to another, as in the
-recursions of `coupling_modes`.
-"""
+"""The model and a track, packed for the particle filter's kernels, and its compiled densities."""
 
 from __future__ import annotations
 
@@ -19,88 +15,12 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import Model
-from graphtrack.model.coupling_modes import (
-    Following,
-    ModeMemory,
-    expected,
-    filter_modes,
-    mode_memory,
-    smooth_modes,
-)
-from graphtrack.model.terms.couplings import (
-    BASE,
-    ROW,
-    BodyFollowsMotion,
-    GaitOffsets,
-    HeadFollowsBody,
-    Modes,
-    gait_of,
-)
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
 from graphtrack.model.terms.orientation import BodyDynamics, BodyLikelihood, HeadDynamics, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.packages import special
 from graphtrack.tracks.track import Track
-
-
-class ModeTable(NamedTuple):
-    """The m modes and offsets of one coupling, (m,) each.
-
-    Attributes
-    ----------
-    initial : probabilities where nothing was seen
-    cos, sin : the coupling's resultant, as multiples of its concentration when aligned
-    held_cos, held_sin : of the offset itself; 0 in a glance, which steers nobody
-    aligned : 1 in the aligned mode, else 0
-    doubt : probability that the offset is a classifier's, so that the orientation is uninformative
-    """
-
-    initial: FloatArray
-    cos: FloatArray
-    sin: FloatArray
-    held_cos: FloatArray
-    held_sin: FloatArray
-    aligned: FloatArray
-    doubt: FloatArray
-
-
-ALWAYS = ModeTable(*(np.array([value]) for value in (1.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0)))
-"""A coupling without modes: it always holds."""
-
-
-def mode_table(modes: Modes) -> ModeTable:
-    """The table of a coupling's modes."""
-    # What glances would do where there are none: nothing.
-    rows = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (ROW, 1))
-    for j, mass in enumerate(np.eye(ROW)[: ROW if modes.glance_share > 0.0 else BASE]):
-        memory = _memory(0.0)
-        memory.likelihood[:], memory.after[:] = 1.0, 0.0
-        found, _ = smooth_modes(0, modes, mass[None], Following(0.0, 1.0, 0.0, 1.0, 0.0), memory)
-        pull = expected(found, modes.strength, modes.free_strength, modes.glance_strength)
-        offset = expected(found, 1.0, 1.0, 0.0)
-        rows[j] = *pull, *offset, found.near, found.mistaken
-    memory = _memory(0.0)
-    filter_modes(1, modes, np.zeros(ROW), memory.filtered_body, memory)
-    initial = memory.filtered_body[0]
-    return ModeTable(initial / initial.sum(), *rows.T)
-
-
-def transition(modes: Modes, dt: float) -> FloatArray:
-    """Matrix P[i, j] from mode and offset i to j in ``dt`` seconds; 0 is drawn as at a beginning."""
-    found = np.empty((ROW, ROW))
-    for i, before in enumerate(np.eye(ROW)):
-        memory = _memory(dt)
-        filter_modes(1, modes, before, memory.filtered_body, memory)
-        found[i] = memory.filtered_body[0] / memory.filtered_body[0].sum()
-    return found
-
-
-def _memory(dt: float) -> ModeMemory:
-    """Memory for one frame without observations."""
-    memory = mode_memory(1)
-    memory.dt[0], memory.likelihood[:] = dt, 0.0
-    return memory
-
 
 PoseModel = Literal["smooth", "closest"]
 
@@ -114,11 +34,8 @@ KNOWN = (
     HeadLikelihood,
     BodyFollowsMotion,
     HeadFollowsBody,
-    GaitOffsets,
 )
 """The terms that the particle filter interprets."""
-
-SHARES = 33  # Shares of the steering, from 0 to 1, that a step may have where couplings have modes
 
 ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 
@@ -126,10 +43,9 @@ ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 class PackedMotion(NamedTuple):
     """Dynamics, a row for each frame k: of the step from k − 1 to k.
 
-    ``root`` (n, s, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
-    axis. Of the velocity ``keep`` (n, s) remains, and it carries the position on for ``reach`` (n, s)
-    seconds; for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
-    Without modes s is 1, else `SHARES`: the head steers by a share of its rate, from 0 to all of it.
+    ``root`` (n, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
+    axis. Of the velocity ``keep`` (n,) remains, and it carries the position on for ``reach`` (n,) seconds;
+    for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
     """
 
     dt: FloatArray
@@ -143,25 +59,6 @@ class PackedMotion(NamedTuple):
     speed_threshold: float
     has_body: bool
     has_head: bool
-
-
-class PackedModes(NamedTuple):
-    """The m modes and offsets of body and head, as a table of arrays (2, m). Without modes m is 1.
-
-    ``transitions`` (2, q, m, m) has the cumulative probabilities of where each leads to in a step, that to
-    frame k the one of the place ``step`` (n,); ``initial`` is cumulative, too. ``observed_share``: of the
-    steering where a position is seen. The leads (2,) in seconds loosen the couplings as the chain loosens
-    those of its newest frame: ``weight`` (n,) and ``diffusion`` as in `coupling_modes.loosened`.
-    """
-
-    initial: FloatArray
-    transitions: FloatArray
-    step: NDArray[np.int64]
-    table: ModeTable
-    lead: FloatArray
-    observed_share: float
-    weight: FloatArray
-    diffusion: float
 
 
 class PackedPosition(NamedTuple):
@@ -202,7 +99,6 @@ class Job:
     """All that a run over one track needs."""
 
     motion: PackedMotion
-    modes: PackedModes
     position: PackedPosition
     body: PackedPose
     head: PackedPose
@@ -215,7 +111,7 @@ def prepare(
     """The arrays of a track under a model; InputError for an unknown term, or without a camera."""
     for term in model.terms:
         if type(term) not in KNOWN:
-            known = "position, separate, joint-body, joint, intentional, joint-intentional or full"
+            known = "position, separate, joint-body, joint, intentional or joint-intentional"
             raise InputError(
                 f"the term {type(term).__name__}, which the particle filter does not know",
                 f"for it, a model of {known}",
@@ -224,7 +120,6 @@ def prepare(
         raise InputError("poses in the image frame without a camera", "a camera of the scene")
     return Job(
         _motion(track, model),
-        _modes(track, model),
         _position(track, model, camera),
         _pose(track, model, "body", pose),
         _pose(track, model, "head", pose),
@@ -237,8 +132,7 @@ def _motion(track: Track, model: Model) -> PackedMotion:
     parameters, coupling, dt = model.parameters, model.parameters.coupling, track.dt
     q = parameters.motion.acceleration_density
     rate = parameters.motion.head_rate if IntentionalMotion in kinds else 0.0
-    shares = np.linspace(0.0, 1.0, SHARES) if model.has_modes else np.ones(1)
-    moments = steered_step(dt[:, None], shares * head_rates(track.input(HEAD_RATE), rate)[:, None])
+    moments = steered_step(dt, head_rates(track.input(HEAD_RATE), rate))
     with np.errstate(divide="ignore", invalid="ignore"):
         place = np.sqrt(q * moments.place)
         cross = q * moments.cross / place
@@ -250,7 +144,7 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         dt,
         moments.keep,
         moments.reach,
-        np.stack([place, cross, spread], axis=2),
+        np.stack([place, cross, spread], axis=1),
         body_turn,
         head_turn,
         weight * (coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0),
@@ -258,34 +152,6 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         coupling.speed_threshold,
         model.has_body,
         model.has_head,
-    )
-
-
-def _modes(track: Track, model: Model) -> PackedModes:
-    parameters = model.parameters
-    weight = parameters.coupling.weights(track.dt)
-    diffusion = parameters.orientation.body_diffusion
-    if not model.has_modes:
-        tables, lead, observed_share = (ALWAYS, ALWAYS), np.zeros(2), 1.0
-        transitions, step = np.ones((2, 1, 1, 1)), np.zeros(len(track), dtype=np.int64)
-    else:
-        gait = gait_of(parameters.gait)
-        both = gait.body, gait.head if track.head_likelihood is None else gait.classified_head
-        tables = mode_table(both[0]), mode_table(both[1])
-        lead, observed_share = np.array([modes.lead for modes in both]), gait.head_rate_observed
-        # To the millisecond: rounding of times would make each step one of its own.
-        times, step = np.unique(np.round(track.dt, 3), return_inverse=True)
-        transitions = np.array([[transition(modes, dt) for dt in times.tolist()] for modes in both])
-    table = ModeTable(*(np.stack(pair) for pair in zip(*tables, strict=True)))
-    return PackedModes(
-        table.initial.cumsum(axis=1),
-        transitions.cumsum(axis=3),
-        step.astype(np.int64),
-        table,
-        lead,
-        observed_share,
-        weight,
-        diffusion,
     )
 
 

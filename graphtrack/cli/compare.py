@@ -162,12 +162,12 @@ def compare(
     Parameters
     ----------
     methods : Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle,
-        particle-modes, rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf,
-        intentional, intentional-printed, particle, smoother, rts. The others are compared with the first
+        rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf, intentional,
+        intentional-printed, particle, smoother, rts. The others are compared with the first
         online and the first offline method, track by track. With --truth: associate, hungarian, bytetrack,
         ocsort; by default the first two. With --groups: groups, online, average-linkage; by default all.
-    model : A preset or a model file (.toml) for all methods; by default the best preset of each: full for the
-        graph with every engine and particle-modes, joint for particles, and the filters' own.
+    model : A preset or a model file (.toml) for all methods; by default the best preset of each: joint for
+        the graph with every engine and for particles, and the filters' own.
     occlude : Seconds around the sharpest turn to withhold and score.
     figures : Folder for figures (PNG) of errors and of reliability.
 

@@ -56,7 +56,7 @@ def fit(
     groups : Learn group detection from this file of labelled groups: SALSA's, ETH's or a table.
     attention : Learn gaze from this file of labelled gaze targets (.csv): frame, track_id and target (an id
         or -1); for graphtrack attention --parameters.
-    model : Starting point: a preset or a model file (.toml); by default separate, full for a scene.
+    model : Starting point: a preset or a model file (.toml); by default separate, joint for a scene.
     criterion : By default truth if the file has it, else evidence or, with couplings, prediction.
     hold_out : Share of the tracks, or of the end of a scene's recording, held out for validation.
     max_frames : Most person-frames to learn from; ignored for a scene.

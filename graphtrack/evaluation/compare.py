@@ -83,10 +83,6 @@ def _online(engine: OnlineEngine) -> Callable[[Model], Method]:
     return _method(engine, estimate)
 
 
-def _particle(name: str) -> Callable[[Model], Method]:
-    return _method(name, lambda track, model, camera: particle_filter(track, model, camera=camera).track)
-
-
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
         "kf": _method("kf", lambda track, model, camera: kalman_filter(track, model.parameters), "positions"),
@@ -97,8 +93,9 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         ),
         "intentional-printed": _own("printed"),
         "intentional-consistent": _own("consistent"),
-        "particle": _particle("particle"),
-        "particle-modes": _particle("particle-modes"),
+        "particle": _method(
+            "particle", lambda track, model, camera: particle_filter(track, model, camera=camera).track
+        ),
         "ffbs": _method(
             "ffbs",
             lambda track, model, camera: particle_smoother(track, model, camera=camera).track,
@@ -124,8 +121,7 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 
 ``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
 ``intentional-consistent`` are the published filter (eq. 2–6) with its published parameters for every model.
-``particle`` is Chen et al.'s filter and ``ffbs`` its smoother; ``particle-modes`` is the filter with the
-coupling modes of the model ``full``."""
+``particle`` is Chen et al.'s filter and ``ffbs`` its smoother."""
 
 
 _OWN = {

@@ -187,9 +187,6 @@ METHODS: Methods = {
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
-WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
-"""Methods that know the preset ``full`` too."""
-
 
 def people(settings: Settings) -> dict[str, TrackSet]:
     """People by source, with body and head observed by classifiers with a known confusion."""
@@ -219,16 +216,16 @@ def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
 
 
 def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
-    """Every method on every person, with each of the presets that it knows."""
+    """Every method on every person, with each of the presets."""
     observed_errors = [[most_likely_error(track, track, angle) for angle in ANGLES] for track in tracks]
-    estimates = estimated_errors(tracks, METHODS, default_models(METHODS, WITH_MODES), progress)
+    estimates = estimated_errors(tracks, METHODS, default_models(METHODS), progress)
     return Scores(data, len(tracks), by_angle(("observation", ""), observed_errors) | estimates)
 
 
 def _parts(settings: Settings) -> Parts:
     everyone = people(settings)
     first = next(iter(everyone.values()))
-    estimates = len(default_models(METHODS, WITH_MODES)) * sum(len(tracks) for tracks in everyone.values())
+    estimates = len(default_models(METHODS)) * sum(len(tracks) for tracks in everyone.values())
     settings.expect(estimates + len(everyone) + len(OTHER_ENGINES) * len(first))
     found = [scores(name, tracks, settings.progress) for name, tracks in everyone.items()]
     pictured = []

@@ -62,8 +62,6 @@ PAPER = {"observation": (41.7, 30.3), "separate": (32.9, 25.8), "joint": (21.9, 
 PRESETS = ("separate", "joint-body", "joint")
 """Nothing coupled; the paper's separate filtering, κ₂ = 0 in eq. 10; the paper's joint filtering."""
 
-WITH_FULL = (*PRESETS, "full")
-
 POSITION_STD = 0.1
 """Metres of noise on the positions."""
 
@@ -101,15 +99,10 @@ def by_angle(
     return {(*key, angle): np.array(errors)[:, i] for i, angle in enumerate(ANGLES)}
 
 
-def default_models(methods: Iterable[str], with_full: Iterable[str]) -> dict[tuple[str, str], Model]:
-    """(preset, method) → the model with default parameters; ``full`` only for some of the methods."""
-    models = {preset: Model(preset) for preset in WITH_FULL}
-    return {
-        (preset, method): models[preset]
-        for preset in WITH_FULL
-        for method in methods
-        if preset != "full" or method in with_full
-    }
+def default_models(methods: Iterable[str]) -> dict[tuple[str, str], Model]:
+    """(preset, method) → the model with default parameters."""
+    models = {preset: Model(preset) for preset in PRESETS}
+    return {(preset, method): models[preset] for preset in PRESETS for method in methods}
 
 
 def estimated_errors(
@@ -163,7 +156,7 @@ def detail(title: str, found: Iterable[Scores], groups: Mapping[str, str], rng: 
             for one in found
             for angle in ANGLES
             for method, group in groups.items()
-            for preset in WITH_FULL
+            for preset in PRESETS
             if (errors := one.errors.get((preset, method, angle))) is not None
         ),
     )
@@ -328,9 +321,6 @@ METHODS: Methods = {
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
-WITH_MODES = ("graph", f"graph{ISAM2}", "smoother")
-"""Methods for the preset ``full`` as well, which is `joint` with coupling modes."""
-
 
 def concentration_of(error: float) -> float:
     """The κ of a von Mises whose mean absolute deviation is ``error`` radians."""
@@ -383,7 +373,7 @@ def _noisy(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
 def _parts(settings: Settings) -> Parts:
     everyone, evaluations = people(settings), settings.few(100, 7)
     other_people = simulated_walkers(settings, everyone)
-    models = default_models(METHODS, WITH_MODES)
+    models = default_models(METHODS)
     searches = len(FITTED) * sum(not method.endswith(ISAM2) for method in METHODS)
     reported = sum(len(tracks) for tracks in everyone.values())
     settings.expect(
@@ -403,7 +393,6 @@ def _parts(settings: Settings) -> Parts:
         "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint",
         _detail(found, rng),
     )
-    yield Table.of("Beyond Chen et al. 2011: the graph with coupling modes (full)", _modes(found, rng))
     yield parameter_table(best)
     yield Table.of(
         "Errors with the parameters fitted for each method",
@@ -437,10 +426,7 @@ def _parts(settings: Settings) -> Parts:
         "and has its parameters."
     )
     yield "Differences between methods are paired: the same people, the same observations."
-    yield (
-        "Where people do not face their motion, a coupling that trusts it misleads (mocap, sideways and "
-        "back); the preset full finds out who does."
-    )
+    yield ("Where people do not face their motion, a coupling that trusts it misleads (sideways and back).")
     yield (
         "SALSA has a frame every 3 s: in that time 1,000 particles spread so far that few of them are within "
         "the noise of a position, and the particle filter suffers from it."
@@ -470,24 +456,8 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
         }
 
 
-def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
-    """The errors with ``full``, which has modes of the couplings."""
-    for one, angle, method in product(found, ANGLES, WITH_MODES):
-        own, separate = (one.errors[preset, method, angle] for preset in ("full", "separate"))
-        yield {
-            "data": one.data,
-            "angle": angle,
-            "group": METHODS[method][0],
-            "method": method,
-            "separate (°)": float(separate.mean()),
-            "joint (°)": one.mean("joint", method, angle),
-            "full (°)": float(own.mean()),
-            **paired("full − separate (°)", own, separate, rng),
-        }
-
-
 def _panels(found: Sequence[Scores], rng: np.random.Generator) -> list[Panel]:
-    panels, order = [], ("observation", *WITH_FULL)
+    panels, order = [], ("observation", *PRESETS)
     for (i, angle), one in product(enumerate(ANGLES), found):
         published = {"method": "Chen et al. 2011", "low": None, "high": None}
         rows: list[Row] = [

@@ -1,4 +1,4 @@
-"""Effect of coupling modes, on people who face their direction of motion and people who do not."""
+"""Effect of constants of each person, on people who face their direction of motion and people who do not."""
 
 from __future__ import annotations
 
@@ -27,17 +27,23 @@ from graphtrack.simulation.degrade import add_noise
 from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks.track import Track, TrackSet
 
-PRESETS = ("separate", "joint", "joint-intentional", "full")
+PRESETS = ("separate", "joint", "joint-intentional")
+LEARNED = "learned"  # joint, with constants that are learned for each person; the others have the default
 POSITION_STD = 0.1
 
 ORDINARY, SIDEWAYS = "ordinary", "sideways and back"
 DRAWS, FEW = 3, 4
 MEASURES = ("body (°)", "head (°)", "position (m)")
-CHAIN, PARTICLES = "online, chain", "online, particles"
+OFFLINE, CHAIN, PARTICLES = "offline", "online, chain", "online, particles"
 
 ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
-    "offline": lambda tracks, preset: smooth(tracks, preset, constants="default").tracks,
-    CHAIN: lambda tracks, preset: [track_online(track, preset, constants="default") for track in tracks],
+    OFFLINE: lambda tracks, model: (
+        smooth(tracks, preset_of(model), constants="learn" if model == LEARNED else "default").tracks
+    ),
+    CHAIN: lambda tracks, model: [
+        track_online(track, preset_of(model), constants="learn" if model == LEARNED else "default")
+        for track in tracks
+    ],
     "online, isam2": lambda tracks, preset: [
         track_online(track, preset, engine="isam2", constants="default") for track in tracks
     ],
@@ -45,8 +51,21 @@ ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
 }
 """Ways to estimate; iSAM2 has the first draw of the noise alone, and online there is every other clip."""
 
+LEARNING = (OFFLINE, CHAIN)
+"""Ways that learn constants."""
+
 Errors = Mapping[tuple[str, str, str], FloatArray]
 """(people, way, model) → errors (draws, clips, 3), in the order of `MEASURES`."""
+
+
+def preset_of(model: str) -> str:
+    """The preset of a model."""
+    return "joint" if model == LEARNED else model
+
+
+def models_of(way: str) -> tuple[str, ...]:
+    """The models of a way to estimate."""
+    return (*PRESETS, LEARNED) if way in LEARNING else PRESETS
 
 
 def people(settings: Settings) -> dict[str, TrackSet]:
@@ -71,17 +90,17 @@ def _noisy(clips: TrackSet, settings: Settings, draw: int) -> TrackSet:
 def errors(everyone: Mapping[str, TrackSet], settings: Settings) -> Errors:
     """Everybody's errors by every way with every model."""
     draws = {way: 1 if way == "online, isam2" else settings.few(DRAWS) for way in ESTIMATORS}
-    settings.expect(len(everyone) * sum(draws.values()) * len(PRESETS))
+    settings.expect(len(everyone) * sum(draws[way] * len(models_of(way)) for way in ESTIMATORS))
     found: dict[tuple[str, str, str], FloatArray] = {}
     for kind, clips in everyone.items():
         for way, estimator in ESTIMATORS.items():
-            some = clips.with_tracks(clips.tracks[::2]) if kind == ORDINARY and way != "offline" else clips
+            some = clips.with_tracks(clips.tracks[::2]) if kind == ORDINARY and way != OFFLINE else clips
             for draw in range(draws[way]):
                 observed = _noisy(some, settings, draw)
-                for preset in PRESETS:
-                    pairs = zip(estimator(observed, preset), observed, strict=True)
+                for model in models_of(way):
+                    pairs = zip(estimator(observed, model), observed, strict=True)
                     empty = np.empty((draws[way], len(some), len(MEASURES)))
-                    found.setdefault((kind, way, preset), empty)[draw] = [_errors_of(*pair) for pair in pairs]
+                    found.setdefault((kind, way, model), empty)[draw] = [_errors_of(*pair) for pair in pairs]
                     settings.progress(1)
     return found
 
@@ -101,12 +120,13 @@ def _parts(settings: Settings) -> Parts:
     detail = Table.of("Errors by model", _detail(found))
     yield detail
     yield Table.of(
-        "The error of full less another's",
+        "The error with learned constants less another's",
         (
-            {"people": kind, "": way, "full less": other}
-            | _paired(found[kind, way, "full"], found[kind, way, other], rng)
-            for kind, way in dict.fromkeys(key[:2] for key in found)
-            for other in PRESETS[:-1]
+            {"people": kind, "": way, "learned less": other}
+            | _paired(found[kind, way, LEARNED], found[kind, way, other], rng)
+            for kind in everyone
+            for way in LEARNING
+            for other in PRESETS
         ),
     )
     yield Table.of(
@@ -128,7 +148,7 @@ def _parts(settings: Settings) -> Parts:
     )
     yield (
         "Errors of a clip, means and medians over clips and draws of the noise; differences are those of a "
-        "clip's means over the draws, with 95 % bootstrap intervals over clips; below 0 full is better."
+        "clip's means over the draws, with 95 % bootstrap intervals over clips; below 0 learned is better."
     )
 
 
@@ -153,7 +173,7 @@ def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dic
 
 EXPERIMENT = Experiment(
     "gaits",
-    "no paper's: what modes of the couplings bring to people who face where they go, and to others",
+    "no paper's: what constants of each person bring to people who face where they go, and to others",
     f"{2 * FEW} ordinary clips and {FEW} others, one draw of the noise",
     _parts,
     columns=2,

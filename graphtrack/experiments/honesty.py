@@ -37,7 +37,7 @@ from graphtrack.simulation.degrade import add_noise
 from graphtrack.smoothing import smooth, track_online
 from graphtrack.tracks.track import Track, TrackSet
 
-PRESETS = ("separate", "joint", "full")
+PRESETS = ("separate", "joint")
 POSITION_STDS = (0.05, 0.1, 0.3)
 EVERY = {30.0: 1, 10.0: 3, 2.5: 12}
 """Frames a second → one of how many frames of the recording."""

@@ -15,7 +15,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
-from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
@@ -184,21 +183,16 @@ def estimated_tracks(
     offsets: NDArray[np.int64],
     states: FloatArray,
     covariance: FloatArray,
-    modes: FloatArray,
 ) -> list[Track]:
     """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
-    Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
-    ``modes`` (n, 3) are absent where they begin with NaN. All tracks share the arrays, and ``covariance`` is
-    not copied.
+    Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations
+    are absent where they begin with NaN. All tracks share the arrays, and ``covariance`` is not copied.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     optional = {
         "body": states[:, 4],
         "head": states[:, 5],
-        "aligned_p": modes[:, 0],
-        "gait_offset": modes[:, 1],
-        "glance_p": modes[:, 2],
     }
     has = {name: np.isfinite(other[offsets[:-1]]) for name, other in optional.items()}
     optional = {name: other.copy() for name, other in optional.items() if has[name].any()}
@@ -388,7 +382,7 @@ def _solver_rehearsals(
 ) -> list[Rehearsal]:
     """Return rehearsals of an offline engine; of chains the linear solution where it holds, else Newton's."""
     if engine == "gtsam":
-        own = has_own_kernels(model) and not model.has_modes
+        own = has_own_kernels(model)
         return [_graph_rehearsal(None if own and not complete else model)]
     # Linear with the camera of a scene, where its tracks have no pixels.
     linear, like = model.is_linear(pack([TRACK], model)), _like(model)
@@ -403,7 +397,7 @@ def _solver_rehearsals(
 
 
 def _graph_rehearsal(model: Model | None) -> Rehearsal:
-    """Return the rehearsal of GTSAM's engines; without basin search and coupling modes for None."""
+    """Return the rehearsal of GTSAM's engines; without basin search for None."""
     known = None if model is None else model.compiled
     if known is None or not (known.has_body or known.has_head):
         return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
@@ -420,28 +414,24 @@ def _like(model: Model) -> Model:
     """A model that calls the same functions, with any parameters."""
     if has_own_kernels(model):
         return Model(model.preset, terms=model.own_terms)
-    return Model("full" if model.has_modes else "joint")
+    return Model("joint")
 
 
 def _kind(model: Model) -> str:
     """Return a key of the functions that a model calls."""
     own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
-    return ("modes" if model.has_modes else "angles") + "".join(own)
+    return "angles" + "".join(own)
 
 
 def _solve(model: Model, *, in_lanes: bool = False) -> None:
-    calibration = calibration_of(model.parameters)
-    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes, calibration=calibration)
+    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes)
 
 
 def _search(model: Model) -> None:
     initial_states(TRACK, Model("position"))
     view, states = ChainView(model), np.zeros((len(TRACK), 6))
-    view.follow(chain(TRACK), states, None, complete=True)
+    view.follow(chain(TRACK), states, None)
     view.other(states, 0.0)
-    if model.has_modes:
-        view.renew(states)
-        view.widen(states, np.zeros((len(TRACK), 6, 6)))
 
 
 def _slide(window: ChainWindow) -> None:

@@ -15,7 +15,6 @@ from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import fit_lanes, solve_packed
-from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack_to_solve
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
 from graphtrack.inference.engines import (
@@ -215,13 +214,12 @@ def _solve_chains(
         tolerance=1e-3 * options.relative_tolerance,
         basin_search=options.basin_search,
         in_lanes=in_lanes,
-        calibration=calibration_of(model.parameters),
     )
     positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
     answers: list[Solution | Failure] = []
-    estimates = estimated_tracks(tracks, packed.offsets, found.states, found.covariance, found.modes)
+    estimates = estimated_tracks(tracks, packed.offsets, found.states, found.covariance)
     numbers = [n.tolist() for n in (found.first_cost, found.cost, found.iterations, found.status)]
     lost = lost_by_rounding(packed.dt, packed.offsets, found.covariance, model, _reach(packed, model))
     for m, (track, first, last, steps, end) in enumerate(zip(tracks, *numbers, strict=True)):

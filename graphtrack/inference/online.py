@@ -22,7 +22,7 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.chain.covariance import calibrate_newest, calibration_of
+from graphtrack.inference.chain.covariance import as_von_mises
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import (
     OnlineEngine,
@@ -31,7 +31,7 @@ from graphtrack.inference.engines import (
     online_engine,
     with_extreme_of,
 )
-from graphtrack.inference.graph.coupling_modes import CouplingModeSmoother
+from graphtrack.inference.graph.basins import GraphSmoother
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam2 import Isam2
 from graphtrack.inference.state import (
@@ -113,7 +113,7 @@ class OnlineSolver:
 
     Parameters
     ----------
-    model : a `Model`, the name of a preset or a model file; by default "full"
+    model : a `Model`, the name of a preset or a model file; by default "joint"
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "isam2"
     lag : seconds of history that are re-estimated; None: all of it, with isam2
@@ -156,19 +156,18 @@ class OnlineSolver:
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
         self.camera = camera
-        self._smoother: ChainWindow | CouplingModeSmoother
+        self._smoother: ChainWindow | GraphSmoother
         if self.engine == "chain":
             make_online_ready(self.model, self.engine)
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
-            couplings: dict[int, Sequence[float]] | None = {} if self.model.has_modes else None
-            ends = step_tolerance, max_iterations, couplings
+            ends = step_tolerance, max_iterations
             graph: FixedLag | Isam2 = (
                 Isam2(self.model, self.lag, relinearize_threshold, *ends)
                 if self.engine == "isam2"
                 else FixedLag(self.model, self.lag, *ends)
             )
-            self._smoother = CouplingModeSmoother(graph, self.model, self.lag, couplings)
+            self._smoother = GraphSmoother(graph, self.model, self.lag)
         self._unused = never_used(self.model, camera)
         self._next_index = 0
         self._last: Estimate | None = None
@@ -463,14 +462,11 @@ class OnlineSolver:
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
             covariance = covariance.copy()
-            first = smoother.steps[0]
-            age = observation.t - first.observation.t if first.starts else math.inf
-            calibrate_newest(covariance[None], state[None], 0, age, calibration_of(self.model.parameters))
+            as_von_mises(covariance[None])
         body, head = map(wrapped, state[4:].tolist())
         if (last := self._last) is not None:
             seconds, (of_body, of_head) = observation.t - last.t, np.diagonal(covariance)[4:].tolist()
             body, head = held(body, of_body, last.body, seconds), held(head, of_head, last.head, seconds)
-        aligned, offset, glance = getattr(smoother, "modes", (math.nan, math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,
             frame=observation.frame,
@@ -480,9 +476,6 @@ class OnlineSolver:
             head=head,
             covariance=covariance,
             status=status,
-            aligned_p=aligned,
-            gait_offset=offset,
-            glance_p=glance,
         )
         return self._last
 

@@ -189,7 +189,7 @@ def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     return found
 
 
-STATE_VERSION = 5
+STATE_VERSION = 6
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """Errors of a smoother for an observation that it cannot use."""
@@ -197,8 +197,8 @@ FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackErro
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed", "unconfirmed"]
 Angles = tuple[float, float]
 Newest = tuple[FloatArray, FloatArray]
-"""State (6,) and covariance (6, 6) of the newest step: calibrated by the compiled chain; inverse curvature
-with what modes leave open by engines of GTSAM, for `calibration.calibrate`."""
+"""State (6,) and covariance (6, 6) of the newest step: as reported by the compiled chain, the inverse
+curvature by engines of GTSAM."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,9 +216,6 @@ class Estimate:
         "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
         "unconfirmed": in streams, its time is far from the stream's; used once the next row agrees with it.
     reason : the reason of a failure
-    aligned_p : probability that the body is aligned with the motion; NaN without modes
-    gait_offset : expected angle from the direction of motion to the body, radians; NaN without modes
-    glance_p : probability that the head glances aside; NaN without modes
     """
 
     t: float
@@ -230,9 +227,6 @@ class Estimate:
     covariance: FloatArray
     status: Status
     reason: str = ""
-    aligned_p: float = math.nan
-    gait_offset: float = math.nan
-    glance_p: float = math.nan
 
     def __repr__(self) -> str:
         known = [f"{name} {value}" for name, value in self._described().items()]
@@ -262,7 +256,6 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
     """A track of online estimates, one for each frame of the recorded track."""
     found, channels = list(estimates), ["position", "velocity", "covariance"]
     channels += [name for name, has in (("body", model.has_body), ("head", model.has_head)) if has]
-    channels += ["aligned_p", "gait_offset", "glance_p"] if model.has_modes else []
     arrays: dict[str, Any] = {name: np.array([getattr(e, name) for e in found]) for name in channels}
     return track.with_estimates(**arrays)
 
@@ -277,14 +270,12 @@ class Window:
     states : (n, 6) their linearisation points: x, y, vx, vy, body, head (metres, m/s, radians)
     prior : marginal of the earlier steps; None if there were none
     anchor : else the angles (radians) at which first orientations are held; see `graph.batch.beginning`
-    modes : probabilities of the coupling modes before the window
     """
 
     steps: tuple[Step, ...]
     states: FloatArray
     prior: MarginalPrior | None
     anchor: Angles | None
-    modes: FloatArray | None = None
 
 
 EMPTY = Window((), np.zeros((0, N)), None, None)
@@ -387,7 +378,6 @@ def pack_state(saved: SavedState) -> dict[str, Any]:
         "states": window.states,
         "prior": None if prior is None else vars(prior),
         "anchor": None if window.anchor is None else np.array(window.anchor),
-        "modes": window.modes,
     }
     return {
         "version": STATE_VERSION,
@@ -441,25 +431,22 @@ def _unpack_window(state: dict[str, Any], camera: GroundCamera | None) -> Window
         own = None if entry.get("own") is None else OwnParameters(*map(real, entry["own"]))
         steps.append(Step(integer(entry["index"]), observation, previous, dt, entry["starts"], camera, own))
     saved = unpack_tree(state["window"])
-    prior, anchor, modes = saved["prior"], saved["anchor"], saved["modes"]
+    prior, anchor = saved["prior"], saved["anchor"]
     if prior is not None:
         linear, point = (prior[name].reshape(N) for name in ("linear", "point"))
         prior = MarginalPrior(prior["information"].reshape(N, N), linear, point, real(prior["constant"]))
     if anchor is not None:
         body, head = anchor.tolist()
         anchor = body, head
-    if modes is not None and (modes.shape[0] != 2 or not modes.size):
-        raise ValueError(f"modes {modes.shape}")
-    return Window(tuple(steps), saved["states"].reshape(len(steps), N), prior, anchor, modes)
+    return Window(tuple(steps), saved["states"].reshape(len(steps), N), prior, anchor)
 
 
 def _pack_estimate(last: Estimate) -> dict[str, Any]:
     state = np.array([*last.position, *last.velocity, last.body, last.head])
-    modes = np.array([last.aligned_p, last.gait_offset, last.glance_p])
     return {
         "t": last.t,
         "frame": last.frame,
-        **pack_tree({"state": state, "covariance": last.covariance, "modes": modes}),
+        **pack_tree({"state": state, "covariance": last.covariance}),
     }
 
 
@@ -475,6 +462,4 @@ def _unpack_estimate(saved: dict[str, Any]) -> Estimate:
         head,
         arrays["covariance"].reshape(N, N),
         "new",
-        "",
-        *arrays["modes"].tolist(),
     )

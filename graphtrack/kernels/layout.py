@@ -117,7 +117,6 @@ class Kernel:
     variables, before : variables of the frame, and of the previous frame, whose derivatives it adds
     unless : field that disables it where that is greater than 0
     names : parameter → its argument, where that has another name
-    switched : True if the coupling modes switch it; see `couplings.GaitOffsets`
     add_quarter_turns : compiled; a faster evaluation of the cost in four directions, if there is one. Adds
         to ``cost`` (4,) the kernel's cost at its orientation, and at one, two and three quarter turns from it
     """
@@ -128,7 +127,6 @@ class Kernel:
     before: tuple[VariableName, ...] = ()
     unless: str | None = None
     names: Mapping[str, str] = field(default_factory=dict)
-    switched: bool = False
     add_quarter_turns: Function | None = None
 
     @cached_property

@@ -103,7 +103,6 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
     names = dict.fromkeys(name for term in model.terms for name in term.reads or ())
     absent = {
         "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
-        "motion.oscillation_std": not any(track.has_truth for track in tracks),
         "likelihood.pixel_std": all(track.pixel is None for track in tracks),
         "likelihood.class_outlier_probability": all(
             track.body_likelihood is None and track.head_likelihood is None for track in tracks

@@ -24,7 +24,7 @@ from graphtrack.geometry.angles import (
     with_outliers,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import PASSES, Options, solve_packed, solve_terms
+from graphtrack.inference.chain.batch import Options, solve_packed, solve_terms
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
 from graphtrack.inference.chain.newton import NOT_FINITE, Result, Workspace, factorise, workspace
 from graphtrack.inference.engines import make_solver_ready
@@ -32,7 +32,6 @@ from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Problem
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.parameters import MotionParameters, with_oscillation
 from graphtrack.packages import special
 from graphtrack.simulation.degrade import withhold
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -257,7 +256,6 @@ class Solved:
     problem: Problem
     result: Result
     memory: Workspace
-    motion: MotionParameters
 
     @property
     def sound(self) -> FloatArray:
@@ -274,7 +272,7 @@ class Solved:
     @property
     def covariance(self) -> FloatArray:
         """(N, 6, 6) of the states, those of angles inverse concentrations."""
-        return with_oscillation(self.result.covariance.copy(), self.motion)
+        return self.result.covariance
 
 
 class Solver:
@@ -288,10 +286,8 @@ class Solver:
     def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
         self._tracks, self._camera = tracks, camera
         make_solver_ready(model, "chain", complete=True)
-        # The engine finds modes from the solution without couplings, so that is where it starts.
-        start = Model("separate", model.parameters) if model.has_modes else model
-        packed = pack(tracks, start, camera)
-        states = solve_packed(packed, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).states
+        packed = pack(tracks, model, camera)
+        states = solve_packed(packed, model, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).states
         states[:, :2] -= np.repeat(packed.origin, np.diff(packed.offsets), axis=0)
         self._start = np.nan_to_num(states)
         self._longest = int(np.diff(packed.offsets).max())
@@ -301,8 +297,8 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        solve_terms(model, problem, Options(MAX_ITERATIONS, TOLERANCE, PASSES, search=False), result)
-        return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)
+        solve_terms(problem, Options(MAX_ITERATIONS, TOLERANCE, search=False), result)
+        return Solved(packed, problem, result, workspace(self._longest))
 
 
 Criterion = Literal["truth", "evidence", "prediction"]

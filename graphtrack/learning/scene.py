@@ -116,7 +116,7 @@ def fit_scene(
     ----------
     detections : one recording, in any form that `associate` takes. Where identities are given, rows with the
         identity −1 and tracks with the label "false" are false detections
-    model : what the scene is learned for; its own scene is where learning begins. By default "full"
+    model : what the scene is learned for; its own scene is where learning begins. By default "joint"
     labelled : True to use the existing identities; None: if there are any
     hold_out : share of the recording, at its end, held out for validation, in [0, 0.9]
     progress : called with sweeps done and sweeps in all

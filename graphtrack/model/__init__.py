@@ -5,7 +5,6 @@ from graphtrack.model.model import Model, presets
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import (
     CouplingParameters,
-    GaitParameters,
     LikelihoodParameters,
     MotionParameters,
     OrientationParameters,
@@ -16,7 +15,6 @@ from graphtrack.model.term import Term
 __all__ = [
     "CouplingParameters",
     "FactorShapeError",
-    "GaitParameters",
     "LikelihoodParameters",
     "Model",
     "MotionParameters",

@@ -8,7 +8,7 @@ Jᵀr = g; one more row, without Jacobian, carries the cost c beyond ½‖r‖²
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from typing import Any
 
@@ -138,24 +138,6 @@ def numerical_jacobians(
     return result
 
 
-COUPLED = (
-    "motion_body_kappa",
-    "motion_body_cos",
-    "motion_body_sin",
-    "head_body_kappa",
-    "head_body_cos",
-    "head_body_sin",
-    "head_doubt",
-    "steer_gain",
-    "steer_reach",
-    "steer_place",
-    "steer_cross",
-    "steer_spread",
-)
-"""The fields of a frame that the coupling modes set; see `couplings.GaitOffsets`."""
-
-Couplings = Mapping[int, Sequence[float]]  # Index of a step → values of its `COUPLED` fields
-
 _SMALLEST_PIVOT = 1e-14  # Relative to the greatestpivot; smaller pivots are rounding errors
 
 _CONSTANTS: dict[str, Any] = {
@@ -180,45 +162,18 @@ _SCRATCH = {
 """Arguments of kernels, states to read and arrays to add to, in the order of `_Evaluation`'s arrays."""
 
 
-def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
-    """The `COUPLED` fields of packed frames, a row for each; unsteered steps as white-noise acceleration."""
-    rows = np.stack([records[name] for name in COUPLED], axis=1)
-    unsteered = (rows[:, COUPLED.index("steer_gain")] == 0.0) & (records["motion_information"] > 0.0)
-    if unsteered.any():
-        dt, information = records["dt"][unsteered], records["motion_information"][unsteered]
-        moments = (dt, 12.0 * information / dt**3, -6.0 * information / dt**2, 4.0 * information / dt)
-        for name, values in zip(COUPLED[-4:], moments, strict=True):
-            rows[unsteered, COUPLED.index(name)] = values
-    return list(map(tuple, rows.tolist()))
-
-
-def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
-    """Return True if a coupling, steering or doubt differs by more than a share; rows as in `COUPLED`."""
-    if old is None:
-        return True
-    for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
-        a, b = old[kappa], new[kappa]
-        change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
-        if change > threshold * max(a, b):
-            return True
-    if abs(new[6] - old[6]) > threshold:
-        return True
-    return abs(new[7] - old[7]) > threshold * max(new[7], old[7])
-
-
 def kernel_factors(
     kernels: tuple[Kernel, ...],
     packed: PackedTracks,
     live: Sequence[tuple[str, float]],
     step: Step,
-    couplings: Couplings | None = None,
 ) -> Sequence[gtsam.NonlinearFactor]:
-    """One factor for each kernel that is called at a step; ``couplings`` set their `COUPLED` fields.
+    """One factor for each kernel that is called at a step.
 
     ``packed``: frame of its kind; ``live``: values of the fields that differ between frames of a kind.
     """
     return [
-        _factor(call, live, step, couplings)
+        _factor(call, live, step)
         for call in _calls(kernels, packed)
         if not (call.kernel.before and step.previous is None)
     ]
@@ -264,15 +219,11 @@ def _calls(kernels: tuple[Kernel, ...], packed: PackedTracks) -> list[_Call]:
     ]
 
 
-def _factor(
-    call: _Call, live: Sequence[tuple[str, float]], step: Step, couplings: Couplings | None
-) -> gtsam.NonlinearFactor:
+def _factor(call: _Call, live: Sequence[tuple[str, float]], step: Step) -> gtsam.NonlinearFactor:
     keys = [
         getattr(step.previous if earlier else step, f"{name}_key") for name, _, _, earlier in call.variables
     ]
     evaluation = _Evaluation(call, live, keys)
-    if couplings is not None:
-        evaluation.follow(couplings, step.index)
     blocks = [evaluation.jacobian[:, part] for part in call.parts]
 
     # Without `custom_factor`, whose checks take as long as a kernel.
@@ -294,8 +245,7 @@ class _Evaluation:
         self._function, self._columns = call.kernel.function, call.columns
         states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
         scratch = (*states, *self._gradients, *self._hessians)
-        self._arguments, self._place = list(call.arguments), call.place
-        self._coupled: list[tuple[int, int]] = []
+        self._arguments = list(call.arguments)
         for place, name in call.scratch:
             self._arguments[place] = scratch[_SCRATCH[name]]
         for name, value in live:
@@ -314,18 +264,9 @@ class _Evaluation:
         # By columns, as GTSAM's matrices are.
         self.residual, self.jacobian = np.zeros(n + 1), np.zeros((n + 1, n), order="F")
 
-    def follow(self, couplings: Couplings, index: int) -> None:
-        """Read the `COUPLED` fields of a step from there from now on."""
-        self._couplings, self._index = couplings, index
-        self._coupled = [(self._place[name], i) for i, name in enumerate(COUPLED) if name in self._place]
-
     def __call__(self, values: gtsam.Values) -> None:
         """Evaluate residual and Jacobian."""
         arguments = self._arguments
-        if self._coupled:
-            now = self._couplings[self._index]
-            for argument, i in self._coupled:
-                arguments[argument] = now[i]
         for is_position, key, part in self._vectors:
             part[:] = values.atPoint2(key) if is_position else values.atVector(key)
         for key, part, cos, sin in self._rotations:

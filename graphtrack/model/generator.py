@@ -167,7 +167,7 @@ class FrameProgram:
     Attributes
     ----------
     types : of the records of frames, and of the fields that all frames share
-    links, switched : gates of links to the previous frame, and of kernels that the coupling modes switch
+    links : gates of links to the previous frame
 
     Raises
     ------
@@ -189,7 +189,6 @@ class FrameProgram:
         self.types = RecordTypes(record_type(frame), record_type(shared))
         self._kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
         self.links = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.before))
-        self.switched = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.switched))
         self._modules: dict[str, str] = {}
         self._frame_names = {f.name for f in frame}
         self._known = {f.name: f"shared.{f.name}" for f in shared} | _GIVEN

@@ -14,7 +14,7 @@ from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
 
-_OF_ESTIMATES = ("velocity", "covariance", "aligned_p", "gait_offset", "glance_p")
+_OF_ESTIMATES = ("velocity", "covariance")
 _OF_TRACKS = ("identity_p", "observed", "true_position", "true_body", "true_head")
 CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
 

@@ -14,19 +14,15 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
-from graphtrack.model.factors import COUPLED, Couplings
 from graphtrack.model.observation import OwnParameters, States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import (
     LikelihoodParameters,
-    MotionParameters,
-    OrientationParameters,
     Parameters,
-    steady,
 )
 from graphtrack.model.term import FramePacker, Term, types_of
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
-from graphtrack.model.terms.couplings import BodyFollowsMotion, GaitOffsets, HeadFollowsBody
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion, Motion
 from graphtrack.model.terms.orientation import (
     Anchor,
@@ -52,21 +48,12 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
-    "full": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
     "joint-place": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, PlacePrior),
-    "social": (
-        IntentionalMotion,
-        *_SEPARATE[1:],
-        BodyFollowsMotion,
-        HeadFollowsBody,
-        GaitOffsets,
-        FacesGroup,
-        OrientationPersistence,
-    ),
+    "social": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, FacesGroup, OrientationPersistence),
 }
 """Name → terms. ``joint-body`` is "separate" of Chen et al. (2011) (κ₂ = 0), ``joint`` their model, and
-``intentional`` that of Baxter et al. (2014). In ``full`` couplings have modes; ``joint-place`` has a place
-that attracts or repels people; in ``social`` the members of a conversation face each other."""
+``intentional`` that of Baxter et al. (2014). ``joint-place`` has a place that attracts or repels people; in
+``social`` the members of a conversation face each other."""
 
 
 def every_term() -> tuple[type[Term], ...]:
@@ -74,18 +61,8 @@ def every_term() -> tuple[type[Term], ...]:
     return (*dict.fromkeys(kind for terms in presets.values() for kind in terms), Anchor)
 
 
-_FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7),
-    likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
-)
-# Permanent couplings lag behind turns: the covariance is inflated by more.
-_JOINT = Parameters(orientation=OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.69))
-# No rotational diffusion: only a user's own term acts on an angle.
-_NOTHING_TURNS = Parameters(orientation=steady(Parameters()).orientation)
 preset_parameters: dict[str, Parameters] = {
-    "position": _NOTHING_TURNS,
-    **dict.fromkeys(("joint-body", "joint", "joint-intentional", "joint-place"), _JOINT),
-    **dict.fromkeys(("full", "social"), _FULL),
+    "social": Parameters(likelihood=LikelihoodParameters(outlier_probability=0.05))
 }
 """Default parameters of the presets whose best values differ from those of `Parameters`."""
 
@@ -115,7 +92,6 @@ class Model:
     terms : all terms, in order
     own_terms : the classes of your own
     has_body, has_head : True if a term acts on them; they are then estimated
-    has_modes : True if the couplings have modes
     has_groups : True if people face their group; groups are detected where tracks do not have them
     """
 
@@ -135,7 +111,6 @@ class Model:
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
-        self.has_modes = any(isinstance(term, GaitOffsets) for term in self.terms)
         self.has_groups = any(isinstance(term, FacesGroup) for term in self.terms)
 
     def __repr__(self) -> str:
@@ -198,20 +173,14 @@ class Model:
         """Return True if the linear solution of packed tracks is the solution."""
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
-    def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
-        """All factors of a step; ``couplings`` are those that the modes set."""
+    def factors(self, step: Step) -> list[gtsam.NonlinearFactor]:
+        """All factors of a step."""
         if step.own is not None:
-            return self.with_own(step.own).factors(replace(step, own=None), couplings)
+            return self.with_own(step.own).factors(replace(step, own=None))
         for term in self.terms:
             if term.is_compiled:
                 vars(term).setdefault("packer", self.packer)
-        if couplings is None or not self.has_modes:
-            return [factor for term in self.terms for factor in term.factors(step)]
-        found: list[gtsam.NonlinearFactor] = []
-        for term in self.terms:
-            follows = any(not set(COUPLED).isdisjoint(kernel.arguments) for kernel in term.kernels)
-            found += term.derived_factors(step, couplings) if follows else term.factors(step)
-        return found
+        return [factor for term in self.terms for factor in term.factors(step)]
 
     @cached_property
     def packer(self) -> FramePacker:

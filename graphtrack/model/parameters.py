@@ -1,13 +1,11 @@
-"""Parameters of the model, with their units, and the inflation of reported covariances.
+"""Parameters of the model, with their units.
 
 The defaults of motion, orientation and coupling were fitted to motion capture (30 Hz; 0.1 m of noise on
-positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md. Gait oscillation and
-persistent turns change covariances alone; see `graphtrack.inference.chain.covariance`.
+positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2); see docs/model.md.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
@@ -67,16 +65,11 @@ class MotionParameters(_Group):
     acceleration_density : spectral density q of white-noise acceleration, m²/s³
     initial_speed_std : 1-σ s of each axis of the first velocity, m/s
     head_rate : rate λ at which the velocity turns to the direction of the head, 1/s; presets that have it
-    oscillation_std : 1-σ of gait oscillation of the hips about the path, m on each axis; covariances only
-    oscillation_rate : steps per second, the rate of gait oscillation, 1/s
     """
 
     acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
     initial_speed_std: float = _number(1.5, 1e-3, 1e3, "m/s")
     head_rate: float = _number(1.3, 0.0, 100.0, "1/s")
-    oscillation_std: float = _number(0.0105, 0.0, 1.0, "m")
-    # It acts on the velocity, which no recording has the truth of.
-    oscillation_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -87,20 +80,10 @@ class OrientationParameters(_Group):
     ----------
     body_diffusion : rotational diffusion D_body of the body, rad²/s
     head_diffusion : rotational diffusion D_head of the head, rad²/s
-    body_white_share, head_white_share : share of the diffusion that is white; the rest are persistent turns;
-        covariances only
-    body_turn_rate, head_turn_rate : 1-σ of the rate of a persistent turn, rad/s; covariances only
-    body_turn_time, head_turn_time : duration of a persistent turn, s
     """
 
     body_diffusion: float = _number(0.24, 1e-6, 1e4, "rad²/s")
     head_diffusion: float = _number(0.11, 1e-6, 1e4, "rad²/s")
-    body_white_share: float = _number(0.26, 0.0, 1.0, learned=False)
-    head_white_share: float = _number(0.0, 0.0, 1.0, learned=False)
-    body_turn_rate: float = _number(0.59, 0.0, 100.0, "rad/s", learned=False)
-    body_turn_time: float = _number(0.29, 1e-3, 1e3, "s", learned=False)
-    head_turn_rate: float = _number(0.49, 0.0, 100.0, "rad/s", learned=False)
-    head_turn_time: float = _number(0.74, 1e-3, 1e3, "s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -127,71 +110,6 @@ class CouplingParameters(_Group):
         dt = np.asarray(0.0 if dt is None else dt, dtype=float)
         short = (dt > 0.0) & (dt < self.correlation_time)
         return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
-
-
-@dataclass(frozen=True)
-class GaitParameters(_Group):
-    """Modes of the couplings: aligned, or free with an offset (docs/model/modes.md).
-
-    Attributes
-    ----------
-    body_aligned : long-run probability that the body is aligned with the motion
-    body_switching : rate at which the mode of the body is drawn again, 1/s
-    body_spread : 1-σ of the offset of an aligned body, rad
-    body_drift : diffusion of the offset of a free body, rad²/s
-    body_strength : multiple of κ₁ of an aligned body
-    body_free_strength : multiple of κ₁ about the offset of a free body
-    body_lead : time by which the body turns before the motion, s
-    head_evidence : weight of the head as evidence on the mode of the body
-    head_aligned : long-run probability that the head is aligned with the body
-    head_switching : rate at which the mode of the head is drawn again, 1/s
-    head_spread : 1-σ of the offset of an aligned head, rad
-    head_drift : diffusion of the offset of a free head, rad²/s
-    head_strength : multiple of κ₂ of an aligned head
-    head_free_strength : multiple of κ₂ about the offset of a free head
-    head_lead : time by which the head turns before the body, s
-    body_offset_kappa, head_offset_kappa : concentration about 0 of the offset of a free mode; 0: uniform
-    head_rate_observed : share of ``motion.head_rate`` where a position is observed
-    head_class_bias : probability that a classifier sees a person's head turned persistently
-    head_class_bias_kappa : concentration of these turns about 0
-    glance_share : share of the time in which the head glances aside
-    glance_time : mean duration of a glance, s
-    glance_kappa : concentration about 0 of the angle of a glance, which is within the reach of the neck
-    glance_strength : multiple of κ₂ about the angle of a glance
-    glance_std : 1-σ added to that of a head that glances aside, rad; covariances only
-    head_common : share of the uncertainty about the head's modes that all frames have in common; covariances
-        only
-    """
-
-    body_aligned: float = _share(0.36)
-    body_switching: float = _number(0.0054, 0.0, 1e3, "1/s")
-    body_spread: float = _number(0.022, 0.0, math.pi, "rad")
-    body_drift: float = _number(0.0008, 0.0, 1e3, "rad²/s")
-    body_strength: float = _number(2.4, 0.0, 1e3)
-    body_free_strength: float = _number(0.74, 0.0, 1e3)
-    body_lead: float = _number(0.08, 0.0, 10.0, "s")
-    head_evidence: float = _share(0.15)
-    head_aligned: float = _share(0.51)
-    head_switching: float = _number(0.0022, 0.0, 1e3, "1/s")
-    head_spread: float = _number(0.083, 0.0, math.pi, "rad")
-    head_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
-    head_strength: float = _number(4.0, 0.0, 1e3)
-    head_free_strength: float = _number(5.5, 0.0, 1e3)
-    head_lead: float = _number(0.12, 0.0, 10.0, "s")
-    body_offset_kappa: float = _number(0.8, 0.0, 100.0)
-    head_offset_kappa: float = _number(2.5, 0.0, 100.0)
-    head_rate_observed: float = _share(0.013)
-    glance_share: float = _share(0.2, 0.9)
-    glance_time: float = _number(2.0, 0.05, 1e3, "s")
-    glance_kappa: float = _number(0.92, 0.0, 100.0)
-    glance_strength: float = _number(1.0, 0.0, 1e3)
-    # It changes covariances only.
-    glance_std: float = _number(0.6, 0.0, math.pi, "rad", learned=False)
-    # Parameters of classifiers, which motion data do not determine.
-    head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
-    head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
-    # It changes covariances only.
-    head_common: float = _number(0.27, 0.0, 1.0, learned=False)
 
 
 @dataclass(frozen=True)
@@ -294,7 +212,6 @@ class Parameters:
     motion: MotionParameters = field(default_factory=MotionParameters)
     orientation: OrientationParameters = field(default_factory=OrientationParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
-    gait: GaitParameters = field(default_factory=GaitParameters)
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
     place: PlaceParameters = field(default_factory=PlaceParameters)
     social: SocialParameters = field(default_factory=SocialParameters)
@@ -310,8 +227,6 @@ class Parameters:
                 kind = "table" if isinstance(values, dict) else "key"
                 expected = f"preset, or a table of {', '.join(known)}, scene"
                 raise InputError(f"the unknown {kind} {table!r}", expected)
-            if isinstance(values, dict):
-                values = {_RENAMED.get((table, name), name): value for name, value in values.items()}
             parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)
 
@@ -328,49 +243,3 @@ class Parameters:
             groups.setdefault(group, {})[key] = value
         changed = {group: replace(getattr(self, group), **own) for group, own in groups.items()}
         return replace(self, **changed)
-
-
-_RENAMED = {
-    ("motion", "sway_std"): "oscillation_std",
-    ("motion", "sway_rate"): "oscillation_rate",
-    ("gait", "head_rate_seen"): "head_rate_observed",
-}
-"""Table and key of earlier model files → key."""
-
-
-def steady(parameters: Parameters) -> Parameters:
-    """The same without covariance inflation: no gait oscillation, no persistent turns."""
-    return replace(
-        parameters,
-        motion=replace(parameters.motion, oscillation_std=0.0),
-        orientation=replace(
-            parameters.orientation,
-            body_white_share=1.0,
-            head_white_share=1.0,
-            body_turn_rate=0.0,
-            head_turn_rate=0.0,
-        ),
-        gait=replace(parameters.gait, head_common=1.0, glance_std=0.0),
-    )
-
-
-def with_oscillation(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
-    """Covariances (..., 4 or more, …) of hips from those of the mean path; in place.
-
-    A sine of ``oscillation_rate`` r and ``oscillation_std`` σ has the variances σ² and (2π·r·σ)².
-    """
-    variance = np.einsum("...ii->...i", covariance)
-    variance[..., :4] += oscillation_variances(motion)
-    return covariance
-
-
-def oscillation_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
-    """Return the variances that gait oscillation adds to x, y, vx and vy."""
-    position = motion.oscillation_std**2
-    velocity = (2.0 * np.pi * motion.oscillation_rate * motion.oscillation_std) ** 2
-    return position, position, velocity, velocity
-
-
-def kept_shares(orientation: OrientationParameters) -> tuple[float, float]:
-    """Shares of the variances of body and head that remain where a part of the diffusion is persistent."""
-    return 0.5 * (1.0 + orientation.body_white_share), 0.5 * (1.0 + orientation.head_white_share)

@@ -102,8 +102,8 @@ def add_frame(
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
             cost += choose(gate, orientation_kernels.add_classes(body_cos, body_sin, at_body,
-                problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
-                frame.body_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
+                problem.body_heights[place], problem.body_directions, frame.body_class_kappa, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
             cost += choose(gate, orientation_kernels.add_angle(head_cos, head_sin, at_head,
@@ -112,18 +112,18 @@ def add_frame(
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
             cost += choose(gate, orientation_kernels.add_classes(head_cos, head_sin, at_head,
-                problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
-                frame.head_doubt, exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
+                problem.head_heights[place], problem.head_directions, frame.head_class_kappa, exact,
+                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
             cost += choose(gate, couplings_kernels.add_body_follows_motion(state, body_cos, body_sin,
-                frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
-                exact, masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
+                frame.motion_body_kappa, shared.speed_threshold, exact, masked(sums.gradient, gate),
+                masked(sums.hessian, gate)), 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
             cost += choose(gate, couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos,
-                head_sin, frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact,
-                masked(sums.gradient, gate), masked(sums.hessian, gate)), 0.0)
+                head_sin, frame.head_body_kappa, exact, masked(sums.gradient, gate), masked(sums.hessian,
+                gate)), 0.0)
         gate = frame.place_weight > 0.0
         if any_of(gate):
             cost += choose(gate, place_kernels.add_place(state, problem.origin[track, 0],
@@ -184,7 +184,7 @@ def set_quarter_turns(
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
         orientation_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
-            problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
+            problem.body_directions, frame.body_class_kappa, masked(body, gate))
     gate = frame.head_kappa > 0.0
     if any_of(gate):
         orientation_kernels.add_angle_quarter_turns(frame.observed_head_cos, frame.observed_head_sin,
@@ -192,7 +192,7 @@ def set_quarter_turns(
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
         orientation_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
-            problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
+            problem.head_directions, frame.head_class_kappa, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
         couplings_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa, shared.speed_threshold,

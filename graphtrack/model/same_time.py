@@ -226,9 +226,7 @@ def with_merged_rows(
 def of_every_row(estimates: Track, track: Track, frame: NDArray[np.int64]) -> Track:
     """Return the estimates of frames of `merged_rows` as those of each row of the track."""
     optional = {
-        name: values[frame]
-        for name in ("body", "head", "aligned_p", "gait_offset", "glance_p")
-        if (values := getattr(estimates, name)) is not None
+        name: values[frame] for name in ("body", "head") if (values := getattr(estimates, name)) is not None
     }
     assert estimates.velocity is not None and estimates.covariance is not None
     return track.with_estimates(

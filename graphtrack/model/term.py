@@ -11,7 +11,7 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import DT, Field, Kernel, record_type
-from graphtrack.model.factors import Couplings, kernel_factors
+from graphtrack.model.factors import kernel_factors
 from graphtrack.model.observation import CHANNELS, Observation, States, Step
 from graphtrack.model.packing import PackedTracks, RecordTypes
 from graphtrack.model.parameters import Parameters
@@ -62,12 +62,10 @@ class Term(ABC):
         """
         return self.derived_factors(step)
 
-    def derived_factors(
-        self, step: Step, couplings: Couplings | None = None
-    ) -> Sequence[gtsam.NonlinearFactor]:
-        """One factor for each live kernel; ``couplings`` set the fields that the coupling modes set."""
+    def derived_factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """One factor for each live kernel."""
         packed = self.packer(step.observation, step.dt, step.starts, step.camera)
-        return kernel_factors(self.kernels, packed, self.packer.live(step.observation), step, couplings)
+        return kernel_factors(self.kernels, packed, self.packer.live(step.observation), step)
 
     def pack(self, packed: PackedTracks) -> None:
         """Fill in the records' `fields`, and `shared`. Records are zero before."""

@@ -25,7 +25,7 @@ _PARAMETERS = {
     "topic": "/people",
     "type": PEOPLE,
     "fixed_frame": "",
-    "model": "full",
+    "model": "joint",
     "lag": 2.0,
     "behaviour": False,
 }

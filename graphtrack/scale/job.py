@@ -102,7 +102,7 @@ def smooth_dataset(
     read_options : frame rate and camera
     progress : called with the numbers of rows that are done
     constants : as in `graphtrack.solve`. The population is learned from the first `LEARNED_ON` rows, and
-        written beside the output, as ``NAME.constants.toml``
+        written next to the output, as ``NAME.constants.toml``
 
     Raises
     ------
@@ -226,7 +226,6 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
             names |= {f"{name}_deg", f"{name}_std_deg"}
-    names |= {"aligned_p", "gait_offset_deg", "glance_p"} if model.has_modes else set()
     names |= {name for name in dataset.columns if name == "label" or name.startswith(("true_", INPUT))}
     return in_order(names)
 

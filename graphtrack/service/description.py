@@ -19,7 +19,7 @@ from graphtrack.service.settings import STREAM_NAME
 from graphtrack.tracks.schema import BY_NAME, INTEGERS, Column
 from graphtrack.tracks.validation import SMALLEST
 
-_ANSWERED = ("position", "velocity", "covariance", "aligned_p", "gait_offset", "glance_p")
+_ANSWERED = ("position", "velocity", "covariance")
 _ANGLES = ("body_deg", "head_deg")
 
 

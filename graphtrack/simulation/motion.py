@@ -8,14 +8,12 @@ sampled forward, each given the previous angle and all later factors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
-from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.terms.couplings import BINS, BodyFollowsMotion, HeadFollowsBody, gait_of
+from graphtrack.model import Model, MotionParameters, Parameters
+from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import smooth_speed, steered_step
 from graphtrack.packages import special
 
@@ -224,90 +222,12 @@ _SWEEPS = 2
 """Gibbs sweeps: few suffice, since head and body are weakly coupled compared to the other terms."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModeCourse:
-    """Modes of one coupling, frame by frame."""
-
-    aligned: np.ndarray  # (n_tracks, n) True in the mode near 0
-    glancing: np.ndarray  # (n_tracks, n) True in the mode of a glance
-    offset: FloatArray  # (n_tracks, n) radians at which it rests
-    strength: FloatArray  # (n_tracks, n) multiple of its κ
-    lead: float  # seconds by which it looks ahead
-
-
-class Modes(NamedTuple):
-    """The modes of both couplings."""
-
-    body: ModeCourse
-    head: ModeCourse
-
-    @property
-    def ahead(self) -> FloatArray:
-        """Return the cosine (n_tracks, n) of heads to the motion, from 0 to 1, which scales their steering.
-
-        A glance does not.
-        """
-        along = np.maximum(np.cos(self.body.offset + self.head.offset), 0.0)
-        return np.where(self.head.glancing, 0.0, along)
-
-
-def without_modes(n_tracks: int, n: int) -> Modes:
-    """Return the couplings of Chen et al. (2011): offset 0, without a lead."""
-    always = np.ones((n_tracks, n), bool)
-    course = ModeCourse(always, ~always, np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
-    return Modes(course, course)
-
-
-def sample_modes(t: FloatArray, n_tracks: int, gait: GaitParameters, rng: np.random.Generator) -> Modes:
-    """Modes and offsets of both couplings at the times ``t`` (n,) seconds.
-
-    They begin in the stationary distribution. At the rate ``switching`` both are redrawn; the offset of the
-    free mode drifts, that of the aligned mode stays. After a glance both are redrawn.
-    """
-    return Modes(*(_modes_of(side, t, n_tracks, gait, rng) for side in ("body", "head")))
-
-
-def _modes_of(
-    side: str, t: FloatArray, n_tracks: int, parameters: GaitParameters, rng: np.random.Generator
-) -> ModeCourse:
-    names = ("aligned", "switching", "spread", "drift", "strength", "free_strength", "lead", "offset_kappa")
-    modes = getattr(gait_of(parameters), side)
-    around, nobody = 2.0 * np.pi * np.arange(BINS) / BINS, np.zeros(n_tracks, bool)
-    gait = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
-    n = len(t)
-    aligned, glancing = np.empty((n_tracks, n), bool), np.empty((n_tracks, n), bool)
-    offset = np.empty((n_tracks, n))
-    for k, dt in enumerate([np.inf, *np.diff(t).tolist()]):
-        near = rng.random(n_tracks) < gait["aligned"]
-        close = gait["spread"] * rng.standard_normal(n_tracks)
-        redrawn = np.where(near, close, rng.vonmises(0.0, gait["offset_kappa"], n_tracks))
-        glance = rng.choice(around, n_tracks, p=modes.glance)
-        # Two-state Markov process, started from its stationary distribution.
-        before = glancing[:, k - 1] if k > 0 else nobody
-        changed = rng.random(n_tracks) < -np.expm1(-modes.glance_change * dt)
-        drawn = rng.random(n_tracks) < modes.glance_share
-        begins, ends = changed & drawn & ~before, changed & ~drawn & before
-        glancing[:, k] = (before & ~ends) | begins
-        if k == 0:
-            aligned[:, k], offset[:, k] = near & ~begins, np.where(begins, glance, redrawn)
-            continue
-        drifted = offset[:, k - 1] + np.sqrt(gait["drift"] * dt) * rng.standard_normal(n_tracks)
-        kept = np.where(aligned[:, k - 1] | before, offset[:, k - 1], drifted)
-        changes = ~before & (rng.random(n_tracks) < -np.expm1(-gait["switching"] * dt)) | ends
-        aligned[:, k] = np.where(changes, near, aligned[:, k - 1]) & ~begins
-        offset[:, k] = np.where(begins, glance, np.where(changes, redrawn, kept))
-    strength = np.where(aligned, gait["strength"], gait["free_strength"])
-    strength = np.where(glancing, modes.glance_strength, strength)
-    return ModeCourse(aligned, glancing, wrap(offset), strength, gait["lead"])
-
-
 def sample_orientations(
     t: FloatArray,
     velocity: FloatArray,
     model: Model,
     rng: np.random.Generator,
     *,
-    modes: Modes | None = None,
     rate: FloatArray | float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Body and head (n_tracks, n) in radians, given the velocities (n_tracks, n, 2) in m/s.
@@ -318,24 +238,19 @@ def sample_orientations(
 
     Parameters
     ----------
-    model : model whose terms define the couplings and their modes
-    modes : modes of both couplings; None: without
+    model : model whose terms define the couplings
     rate : λ in 1/s with which the head steers the motion, of all steps or of each, (n_tracks, n − 1)
     """
     parameters, (n_tracks, n) = model.parameters, velocity.shape[:2]
     turning, coupling = parameters.orientation, parameters.coupling
-    body_modes, head_modes = without_modes(n_tracks, n) if modes is None else modes
     weights = coupling.weights(np.concatenate([[0.0], np.diff(t)]))
     of_motion, of_body = np.zeros((n_tracks, n), complex), np.zeros((n_tracks, n))
     if model.has_term(BodyFollowsMotion):
-        course = np.angle(_leading(t, velocity[..., 0] + 1j * velocity[..., 1], body_modes.lead))
         excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0) ** 2
-        kappa = coupling.motion_body_kappa * body_modes.strength * excess
-        kappa = weights * _loosened(t, kappa, body_modes.lead, turning.body_diffusion)
-        of_motion = kappa * np.exp(1j * (course + body_modes.offset))
+        kappa = coupling.motion_body_kappa * excess
+        of_motion = weights * kappa * np.exp(1j * direction(velocity))
     if model.has_term(HeadFollowsBody):
-        kappa = coupling.head_body_kappa * head_modes.strength
-        of_body = weights * _loosened(t, kappa, head_modes.lead, turning.body_diffusion)
+        of_body = np.tile(weights * coupling.head_body_kappa, (n_tracks, 1))
     steering = np.zeros((n_tracks, n), complex)
     rate = np.broadcast_to(rate, (n_tracks, n - 1))
     steering[:, :-1] = _steering(t, velocity, rate, parameters.motion.acceleration_density)
@@ -343,33 +258,9 @@ def sample_orientations(
     of_head = np.zeros((n_tracks, n), complex)
     for _ in range(_SWEEPS if of_body.any() else 1):
         body = sample_course(t, turning.body_diffusion, of_motion + of_head, rng)
-        target = _leading(t, np.unwrap(body, axis=1), head_modes.lead) + head_modes.offset
-        head = sample_course(t, turning.head_diffusion, of_body * np.exp(1j * target) + steering, rng)
-        of_head = _led(t, of_body * np.exp(1j * (head - head_modes.offset)), head_modes.lead)
+        head = sample_course(t, turning.head_diffusion, of_body * np.exp(1j * body) + steering, rng)
+        of_head = of_body * np.exp(1j * head)
     return body, head
-
-
-def _leading(t: FloatArray, values: np.ndarray, lead: float) -> np.ndarray:
-    """Interpolate values (n_tracks, n) ``lead`` seconds after each frame; the last value beyond the end."""
-    if lead == 0.0:
-        return values
-    return np.stack([np.interp(t + lead, t, own) for own in values])
-
-
-def _led(t: FloatArray, pull: np.ndarray, lead: float) -> np.ndarray:
-    """Assign pulls (n_tracks, n) that act ``lead`` seconds after each frame to the frames there."""
-    place = np.interp(t + lead, t, np.arange(len(t)))
-    at = place.astype(np.int64)
-    share, found = place - at, np.zeros_like(pull.T)
-    np.add.at(found, at, ((1.0 - share) * pull).T)
-    np.add.at(found, np.minimum(at + 1, len(t) - 1), (share * pull).T)
-    return found.T
-
-
-def _loosened(t: FloatArray, kappa: FloatArray, lead: float, diffusion: float) -> FloatArray:
-    """Return concentrations (n_tracks, n), reduced by diffusion where the lead reaches past the end."""
-    missing = np.maximum(lead - (t[-1] - t), 0.0)
-    return kappa / (1.0 + kappa * diffusion * missing)
 
 
 def _steering(t: FloatArray, velocity: FloatArray, rate: FloatArray, density: float) -> np.ndarray:
@@ -387,7 +278,6 @@ _CANDIDATES = 32
 
 def sample_coupled_velocity(
     t: FloatArray,
-    modes: Modes,
     parameters: Parameters,
     rng: np.random.Generator,
     *,
@@ -405,11 +295,11 @@ def sample_coupled_velocity(
     ``rate``: λ in 1/s (n_tracks, n − 1) with which the head steers each step
     """
     motion, turning, coupling = parameters.motion, parameters.orientation, parameters.coupling
-    n_tracks, n = modes.body.offset.shape
+    n_tracks, n = len(rate), len(t)
     velocity = np.empty((n_tracks, n, 2))
     velocity[:, 0], own = first_velocity(n_tracks, motion, rng, pace)
-    body = direction(velocity[:, 0]) + modes.body.offset[:, 0]
-    head = body + modes.head.offset[:, 0]
+    body = direction(velocity[:, 0])
+    head = body
     of_head = coupling.head_body_kappa if head_coupled else 0.0
     rows = np.arange(n_tracks)
     for k, dt in enumerate(np.diff(t).tolist(), start=1):
@@ -419,17 +309,16 @@ def sample_coupled_velocity(
         found = next_velocity(before, aim, rate[:, k - 1, None], dt, own, motion, rng)
         weight = float(coupling.weights(dt))
         body_kappa, head_kappa = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
-        head_pull = _held(weight * of_head * modes.head.strength[:, k], turning.head_diffusion * dt)
+        head_pull = _held(weight * of_head, turning.head_diffusion * dt)
         # The previous head and its turn inform the body.
         offset_kappa = np.divide(1.0, 1.0 / np.maximum(head_pull, 1e-12) + 1.0 / head_kappa)
-        past = body_kappa * np.exp(1j * body) + offset_kappa * np.exp(1j * (head - modes.head.offset[:, k]))
+        past = body_kappa * np.exp(1j * body) + offset_kappa * np.exp(1j * head)
         speed = np.linalg.norm(found, axis=-1)
         excess = np.maximum(speed - coupling.speed_threshold, 0.0)
-        pull = weight * coupling.motion_body_kappa * modes.body.strength[:, k, None] * excess**2
+        pull = weight * coupling.motion_body_kappa * excess**2
         relative = turning.body_diffusion + motion.acceleration_density / np.maximum(speed, 0.1) ** 2
         pull = _held(pull, relative * dt)
-        course = direction(found) + modes.body.offset[:, k, None]
-        resultant = past[:, None] + pull * np.exp(1j * course)
+        resultant = past[:, None] + pull * np.exp(1j * direction(found))
         size, known = np.abs(resultant), np.abs(past)[:, None]
         # Relative to a body aligned with the motion: the coupling does not act on speed.
         fit = np.log(special.i0e(size)) + size - np.log(special.i0e(known + pull)) - known - pull
@@ -438,11 +327,11 @@ def sample_coupled_velocity(
         velocity[:, k] = found[rows, one]
         chosen = resultant[rows, one]
         body = rng.vonmises(np.angle(chosen), np.abs(chosen))
-        chosen = head_kappa * np.exp(1j * head) + head_pull * np.exp(1j * (body + modes.head.offset[:, k]))
+        chosen = head_kappa * np.exp(1j * head) + head_pull * np.exp(1j * body)
         head = rng.vonmises(np.angle(chosen), np.abs(chosen))
     return velocity
 
 
-def _held(pull: FloatArray, turned: FloatArray | float) -> FloatArray:
+def _held(pull: FloatArray | float, turned: FloatArray | float) -> FloatArray:
     """Return the fixed point P of P = pull + 1/(1/P + turned): concentration of this and all later pulls."""
     return 0.5 * pull + np.sqrt(0.25 * pull**2 + pull / turned)

@@ -17,11 +17,9 @@ from graphtrack.simulation import WALKING_PACE
 from graphtrack.simulation.motion import (
     sample_coupled_velocity,
     sample_course,
-    sample_modes,
     sample_orientations,
     sample_positions,
     sample_velocity,
-    without_modes,
 )
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import (
@@ -74,10 +72,9 @@ def simulate(
     """Sample people from the model: states from its dynamics, observations from its likelihoods.
 
     The motion is sampled from its terms, body and head from the graph's own density given it, over whole
-    tracks and so at every frame rate alike; for "full" also modes, offsets and leads, for "social" without
-    conversations. Differences from the model: people keep a pace, whereas the model's speeds diverge, and
-    couplings do not slow people down, whereas their density favours standing. User-defined terms are not
-    sampled.
+    tracks and so at every frame rate alike; for "social" without conversations. Differences from the model:
+    people keep a pace, whereas the model's speeds diverge, and couplings do not slow people down, whereas
+    their density favours standing. User-defined terms are not sampled.
 
     Parameters
     ----------
@@ -124,7 +121,7 @@ def simulate(
     frame = np.arange(n_steps)
     t = frame / fps
     lost = _missing(rng, n_tracks, n_steps, missing)
-    truth = sample_states(t, n_tracks, model, rng, pace=pace, has_position=~lost)
+    truth = sample_states(t, n_tracks, model, rng, pace=pace)
     position = truth.pop("position")
     del truth["velocity"]
     if glances > 0.0 and "head" in truth:
@@ -164,11 +161,8 @@ def sample_states(
     rng: np.random.Generator,
     *,
     pace: float | None = None,
-    has_position: np.ndarray | None = None,
 ) -> dict[str, FloatArray]:
     """Sample states of people at the times ``t`` (n,) seconds, by name.
-
-    ``has_position``: (n_tracks, n) frames with an observed position; None: all
 
     Returns
     -------
@@ -191,21 +185,9 @@ def sample_states(
         velocity = sample_velocity(t, n_tracks, motion, rng, pace=pace)
         states["body"], states["head"] = sample_orientations(t, velocity, model, rng)
     else:
-        modes = without_modes(n_tracks, len(t))
-        if model.has_modes:
-            gait = model.parameters.gait
-            modes = sample_modes(t, n_tracks, gait, rng)
-            share = np.where(
-                np.ones(steps, bool) if has_position is None else has_position[:, 1:],
-                gait.head_rate_observed,
-                1.0,
-            )
-            rate = rate * share * modes.ahead[:, :-1]
         held = model.has_term(HeadFollowsBody)
-        velocity = sample_coupled_velocity(
-            t, modes, model.parameters, rng, pace=pace, rate=rate, head_coupled=held
-        )
-        states["body"], states["head"] = sample_orientations(t, velocity, model, rng, modes=modes, rate=rate)
+        velocity = sample_coupled_velocity(t, model.parameters, rng, pace=pace, rate=rate, head_coupled=held)
+        states["body"], states["head"] = sample_orientations(t, velocity, model, rng, rate=rate)
     position = sample_positions(t, velocity, motion, rng, head=states.get("head"), rate=rate)
     return {"position": position, "velocity": velocity, **states}
 

@@ -247,10 +247,6 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
     for name, value in zip(_NUMBERS, values + spread, strict=True):
         row[name] = value if math.isfinite(value) else None
-    if math.isfinite(estimate.aligned_p):
-        row["aligned_p"] = estimate.aligned_p
-        row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
-        row["glance_p"] = estimate.glance_p
     row["status"] = estimate.status
     if estimate.reason:
         row["reason"] = estimate.reason

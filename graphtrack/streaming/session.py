@@ -185,7 +185,7 @@ class Answers:
         ``detections``: those of data association too
         """
         engine = online_engine(self.model, self.engine)
-        if engine == "chain" or self.model.has_modes:
+        if engine == "chain":
             make_online_ready(self.model, engine)
             if self.walkable is not None:
                 make_online_ready(self.model.with_terms(StaysInside), engine)

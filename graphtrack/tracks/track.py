@@ -86,9 +86,6 @@ class Track:
     observed : (n,) 1 where the frame was observed, 0 where association left a gap
     velocity : (n, 2) metres a second (estimates)
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
-    aligned_p : (n,) probability that the body faces the direction of motion (estimates)
-    gait_offset : (n,) radians, expected offset of the body from the direction of motion (estimates)
-    glance_p : (n,) probability that the head glances aside (estimates)
     true_position, true_body, true_head : the truth, where it is known
     label : a readable name, such as the clip
     inputs : name → (n,) or (n, k) further known values in each frame that a term of the model reads, such as
@@ -113,9 +110,6 @@ class Track:
     observed: FloatArray | None = None
     velocity: FloatArray | None = None
     covariance: FloatArray | None = None
-    aligned_p: FloatArray | None = None
-    gait_offset: FloatArray | None = None
-    glance_p: FloatArray | None = None
     true_position: FloatArray | None = None
     true_body: FloatArray | None = None
     true_head: FloatArray | None = None
@@ -276,9 +270,6 @@ class Track:
         covariance: FloatArray,
         body: FloatArray | None = None,
         head: FloatArray | None = None,
-        aligned_p: FloatArray | None = None,
-        gait_offset: FloatArray | None = None,
-        glance_p: FloatArray | None = None,
     ) -> Track:
         """Return the track with estimates in place of its observations; truth, label and inputs are kept.
 
@@ -292,9 +283,6 @@ class Track:
             "body": body,
             "head": head,
             "covariance": covariance,
-            "aligned_p": aligned_p,
-            "gait_offset": gait_offset,
-            "glance_p": glance_p,
         }
         for value in estimates.values():
             if value is not None:

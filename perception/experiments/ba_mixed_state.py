@@ -111,7 +111,7 @@ def _parts(settings: Settings) -> Parts:
         "head's; Ba & Odobez 2003 shows one such frame (Fig. 4)."
     )
     yield (
-        "Graph on top: the tracker's boxes and pans, smoothed offline by the preset full; errors of the "
+        "Graph on top: the tracker's boxes and pans, smoothed offline by the preset joint; errors of the "
         "centre are in widths of the head."
     )
     yield (

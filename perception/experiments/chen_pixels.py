@@ -20,7 +20,7 @@ from graphtrack.experiments.chen_classes import scores
 from graphtrack.experiments.chen_joint import (
     ANGLES,
     POSITION_STD,
-    WITH_FULL,
+    PRESETS,
     Scores,
     by_angle,
     detail,
@@ -115,13 +115,11 @@ class Method:
     ----------
     group : "online" or "offline"
     estimate : runs it
-    presets : presets to run
     seeds : number of runs of a random method
     """
 
     group: str
     estimate: Estimate
-    presets: tuple[str, ...] = WITH_FULL
     seeds: int = 1
 
 
@@ -141,11 +139,9 @@ def _online(person: ObservedPerson, model: Model, engine: Literal["chain", "isam
     )
 
 
-_SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter lacks the coupling modes of ``full``
-
 METHODS: Mapping[str, Method] = {
-    "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
-    "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
+    "particle": Method("online", _particle, seeds=3),
+    "particle, eq. 12–14": Method("online", _in_image, seeds=3),
     "graph, chain": Method("online", lambda person, model, seed: _online(person, model, "chain")),
     "graph, isam2": Method("online", lambda person, model, seed: _online(person, model, "isam2")),
     "smoother": Method(
@@ -216,7 +212,7 @@ def joint_scores(data: str, people: Sequence[ObservedPerson]) -> Scores:
         ]
         found |= by_angle(("observation", name), errors)
     for name, method in METHODS.items():
-        for preset in method.presets:
+        for preset in PRESETS:
             model = Model(preset)
             of_seeds = [
                 [errors_of(method.estimate(person, model, seed), person.truth) for person in people]
@@ -499,11 +495,6 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Iterator[Row]:
         details = "smoother, heads of the whole track"
         cost = "heads of the whole track − causal heads"
         pairs += [("smoother", f"{cost}, {p}", (p, details), (p, "smoother")) for p in ("separate", "joint")]
-        pairs += [
-            (name, "full − joint", ("full", name), ("joint", name))
-            for name, method in METHODS.items()
-            if "full" in method.presets
-        ]
         pairs.append(("per frame", cost, ("observation", "whole track"), ("observation", "")))
         for method, what, after, before in pairs:
             row: dict[str, Cell] = {"data": one.data, "method": method, "difference": what}

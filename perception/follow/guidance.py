@@ -13,13 +13,13 @@ from graphtrack.constants.online import OnlineSmoother
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate
 from graphtrack.model import Model, Observation, Parameters
-from graphtrack.model.parameters import MotionParameters, steady
+from graphtrack.model.parameters import MotionParameters
 from perception.follow.ground import BoxCamera
 from perception.images.frames import Clock, seconds
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
-GUIDE_MODEL = Model("position", steady(Parameters(MotionParameters(acceleration_density=0.01))))
+GUIDE_MODEL = Model("position", Parameters(MotionParameters(acceleration_density=0.01)))
 """Model of steady walking: white noise of 0.01 m²/s³ fits the deviations of rendered walkers within one or
 two seconds. The package's own models allow for turning and running, so their predictions soon diverge."""
 

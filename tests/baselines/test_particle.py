@@ -209,7 +209,7 @@ def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
     before, after = np.array([0.0, 0.0, 0.0, 0.0, 1.0, -2.0]), np.zeros((3000, 6))
     after[:, 2:4] = speed * np.array([math.cos(2.0), math.sin(2.0)])
     for row in after:
-        draw_angles(rng, 1, False, before, row, job.motion, np.zeros(2, np.int64), job.modes)
+        draw_angles(rng, 1, False, before, row, job.motion)
     turning, coupling = model.parameters.orientation, model.parameters.coupling
     weight = coupling.weights(0.3)
     pull = weight * coupling.motion_body_kappa * max(speed - coupling.speed_threshold, 0.0) ** 2
@@ -232,8 +232,7 @@ def test_the_head_steers_the_drawn_velocity(rate: float) -> None:
     track = walk(3, dt=0.4)
     job = prepare(track, steered(rate), None, "smooth", False)
     before, after = np.tile([1.0, -2.0, 0.6, 0.8, np.nan, 2.5], (40_000, 1)), np.zeros((40_000, 6))
-    every, whole = np.arange(40_000), np.zeros(40_000, np.int64)
-    draw_motion(np.random.default_rng(3), 1, job.motion, before, every, whole, after)
+    draw_motion(np.random.default_rng(3), 1, job.motion, before, np.arange(40_000), after)
     # The integral of the drift dv = λ(s·u − v) dt, and of the noise, in 4,000 short steps.
     dt, n = float(track.t[1] - track.t[0]), 4000
     place, velocity, spread = np.array([1.0, -2.0]), np.array([0.6, 0.8]), np.zeros((2, 2))

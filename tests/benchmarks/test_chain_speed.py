@@ -204,14 +204,6 @@ def test_against_a_graph_of_python_factors(record: Record) -> None:
     race(record, "joint / GTSAM, Python factors", mine, theirs, 500.0, rounds=3)
 
 
-def test_modes_cost_a_few_times_the_joint_model(record: Record) -> None:
-    tracks, full, joint = walks(TRACKS), Model("full"), Model("joint")  # large work
-    with_modes, without = seconds(lambda: ours(tracks, full), lambda: ours(tracks, joint), rounds=3)[:, 1]
-    print(f"\nfull / joint: {with_modes / without:.2f} times the processor time")
-    record("full / joint, processor time", with_modes / without)
-    assert with_modes < 6.0 * without
-
-
 def test_cost_grows_with_the_frames_and_no_faster(record: Record) -> None:
     model, sets = Model("joint"), {count: TrackSet(tuple(walks(count))) for count in (TRACKS, 5 * TRACKS)}
     runs = [(lambda tracks=tracks: solve(tracks, model, jobs=2)) for tracks in sets.values()]

@@ -34,7 +34,7 @@ def milliseconds(*steps: Callable[[float, np.ndarray], object]) -> list[float]:
 
 
 def test_a_frame_of_a_crowd_beside_a_plain_tracker(record: Callable[[str, float], None]) -> None:
-    alone, tracker = OnlineAssociation(), gt.OnlineTracker("full")
+    alone, tracker = OnlineAssociation(), gt.OnlineTracker()
     own, whole, peer = milliseconds(alone.update, tracker.update, HungarianTracker().step)
     print(f"\nms of a frame: association {own:.1f}, tracker with full {whole:.1f}, plain {peer:.1f}")
     record("frame of 100 people, online association / Kalman and Hungarian, processor time", own / peer)
@@ -45,7 +45,7 @@ def test_groups_looks_and_forecasts_of_a_crowd_beside_a_plain_tracker(
     record: Callable[[str, float], None],
 ) -> None:
     """All of `graphtrack track - --groups --attention --forecast 2` but for reading and writing rows."""
-    tracker, groups, looks = gt.OnlineTracker("full"), gt.OnlineGroups(), gt.OnlineAttention()
+    tracker, groups, looks = gt.OnlineTracker(), gt.OnlineGroups(), gt.OnlineAttention()
     latest: dict[str, Any] = {}
     steps = (
         lambda t, seen: latest.update(people=tracker.update(t, seen)),

@@ -25,7 +25,7 @@ from graphtrack.geometry.angles import von_mises_log_density, wrap
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.tracks.track import Track, TrackSet
 
-FULL = gt.Model("full")
+MODEL = gt.Model("joint")
 NEVER = np.array([1e-12])
 
 
@@ -95,15 +95,15 @@ def test_angles_are_as_probable_as_an_integral_over_the_circle_says() -> None:
 def test_what_is_declared_rightly_is_not_contradicted(seed: int) -> None:
     setting = [(6, 60, 30.0), (12, 120, 10.0), (30, 30, 2.5)][seed % 3]
     preset = ["separate", "joint"][seed % 2]
-    assert declared_noise(people(seed, *setting, preset).tracks, FULL).lines() == []
+    assert declared_noise(people(seed, *setting, preset).tracks, MODEL).lines() == []
     few = misdeclared(people(4, 1, 30), 0.1, 1.0, 1.0)
-    assert declared_noise(few.tracks, FULL).lines() == []
+    assert declared_noise(few.tracks, MODEL).lines() == []
 
 
 @pytest.mark.parametrize("factor", [1 / 3, 3.0])
 def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
     tracks = misdeclared(people(1), factor, 0.5, 2.0)
-    noise = declared_noise(tracks.tracks, FULL)
+    noise = declared_noise(tracks.tracks, MODEL)
     found = {one.name: one.multiplier for one in noise.channels}
     for name, wrong in (("position", factor), ("body", 0.5), ("head", 2.0)):
         one = found[name]
@@ -111,16 +111,16 @@ def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
         assert one.value == pytest.approx(1.0 / wrong, rel=0.12), name
     assert [line.split(":")[0] for line in noise.lines()] == ["position", "body", "head"]
     assert all("--trust learn" in line for line in noise.lines())
-    _, model = noise.corrected(tracks, FULL)
+    _, model = noise.corrected(tracks, MODEL)
     assert model.parameters.likelihood.position_scale == pytest.approx(1.0 / factor, rel=0.12)
     assert declared_noise(tracks.tracks, model).lines() == []
 
 
 def test_what_the_model_declares_is_looked_at_where_the_data_declare_nothing() -> None:
     tracks = people(2, std=0.3).map(lambda track: replace(track, position_std=None))
-    (line,) = declared_noise(tracks.tracks, FULL).lines()
+    (line,) = declared_noise(tracks.tracks, MODEL).lines()
     assert "likelihood.position_std" in line
-    _, model = declared_noise(tracks.tracks, FULL).corrected(tracks, FULL)
+    _, model = declared_noise(tracks.tracks, MODEL).corrected(tracks, MODEL)
     assert model.parameters.likelihood.position_std == pytest.approx(0.3, rel=0.1)
 
 
@@ -130,7 +130,7 @@ def test_gross_errors_do_not_count_as_noise() -> None:
         off = rng.random(len(track)) < 0.1
         return replace(track, position=track.position + off[:, None] * rng.normal(0.0, 2.0, (len(track), 2)))
 
-    assert declared_noise(people(3).map(spoilt).tracks, FULL).lines() == []
+    assert declared_noise(people(3).map(spoilt).tracks, MODEL).lines() == []
 
 
 def walkers(seed: int, n: int = 14) -> TrackSet:
@@ -147,12 +147,12 @@ def walkers(seed: int, n: int = 14) -> TrackSet:
 
 def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
     off = walkers(0).map(lambda track: replace(track, **turned(track, "body", np.radians(30.0))))
-    noise = declared_noise(off.tracks, FULL)
+    noise = declared_noise(off.tracks, MODEL)
     body = next(one for one in noise.channels if one.name == "body")
     assert np.degrees(body.turn) == pytest.approx(30.0, abs=3.0)
     assert any(line.startswith("body") and "to the left" in line for line in noise.lines())
-    mended, _ = noise.corrected(off, FULL)
-    (again,) = (one for one in declared_noise(mended.tracks, FULL).channels if one.name == "body")
+    mended, _ = noise.corrected(off, MODEL)
+    (again,) = (one for one in declared_noise(mended.tracks, MODEL).channels if one.name == "body")
     assert again.turn == 0.0 and not any(one.turn for one in noise.channels if one.name == "head")
 
 
@@ -166,9 +166,9 @@ def test_gaits_of_their_own_are_no_bias() -> None:
         by = np.random.default_rng(track.track_id).uniform(-np.pi, np.pi)
         return replace(track, **turned(track, "body", by))
 
-    assert not any(one.turn for one in declared_noise(walkers(1).map(own).tracks, FULL).channels)
+    assert not any(one.turn for one in declared_noise(walkers(1).map(own).tracks, MODEL).channels)
     few = walkers(2, 5).map(lambda track: replace(track, **turned(track, "body", 0.6)))
-    assert not any(one.turn for one in declared_noise(few.tracks, FULL).channels)
+    assert not any(one.turn for one in declared_noise(few.tracks, MODEL).channels)
 
 
 def test_smoothing_warns_or_corrects_as_it_is_told() -> None:

@@ -48,7 +48,7 @@ def channels_of(model: str) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("rate", others_slow([1.0, 10.0, 100.0], [10.0]))
-@pytest.mark.parametrize("model", others_slow(WITH_ANGLES, ["joint", "full"]))
+@pytest.mark.parametrize("model", others_slow(WITH_ANGLES, ["joint", "joint-intentional"]))
 @pytest.mark.parametrize("online", [False, True])
 def test_errors_fall_with_the_declared_noise(model, rate, online):
     for name in channels_of(model):
@@ -63,12 +63,12 @@ def test_errors_fall_with_the_declared_noise(model, rate, online):
 @pytest.mark.parametrize("online", [False, True])
 def test_accurate_angles_with_outliers(std, online):
     track, truth = helmet(std, 10.0, "head", True, outliers=0.05)
-    found = gt.track_online(track, "full") if online else gt.smooth(track, "full")
+    found = gt.track_online(track) if online else gt.smooth(track)
     check(found, truth, "head", std)
 
 
 @pytest.mark.parametrize("std", others_slow(STDS, [0.01]))
-@pytest.mark.parametrize("model", ["joint", "full"])
+@pytest.mark.parametrize("model", ["joint", "joint-intentional"])
 def test_engines_of_gtsam_follow_accurate_angles(model, std):
     track, truth = helmet(std, 10.0, "head", True)
     check(gt.smooth(track, model, engine="gtsam"), truth, "head", std)

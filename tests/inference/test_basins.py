@@ -15,7 +15,6 @@ from graphtrack import TrackSet, smooth
 from graphtrack.geometry.angles import UNIFORM_STD, difference
 from graphtrack.inference.chain.basin_search import unwind
 from graphtrack.inference.chain.batch import solve_packed
-from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import CONVERGED, workspace
 from graphtrack.kernels.layout import Chain
@@ -48,7 +47,7 @@ def far_off(estimate: Track, name: str) -> float:
 
 
 @EVERY_ENGINE
-@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "full"], ["joint"]))
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "joint-intentional"], ["joint"]))
 def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: float | None) -> None:
     """The answers of the first frames, which may be flipped, do not decide for good."""
     for track in misjudged():
@@ -58,7 +57,7 @@ def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: f
 
 
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
-@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "full"], ["full"]))
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "joint-intentional"], ["joint"]))
 def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
     for found in smooth(misjudged(), preset, engine=engine):
         assert far_off(found, "body") == far_off(found, "head") == 0.0
@@ -123,7 +122,7 @@ def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turn
     assert proposed(track, states) is None
 
 
-@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("preset", ["joint", "joint-intentional"])
 def test_people_of_whom_the_body_is_not_seen_do_not_wind_where_they_stand(preset: str) -> None:
     people = strollers(np.random.default_rng(7), HABITS, people=30, body_std=None)
     wrong, stops = np.sum(
@@ -136,7 +135,9 @@ def test_people_of_whom_the_body_is_not_seen_do_not_wind_where_they_stand(preset
 def test_gtsam_unwinds_as_the_chain_does() -> None:
     people = strollers(np.random.default_rng(8), HABITS, people=4, body_std=None, seconds=15.0)
     people = people.map(lambda track: replace(track, head=None, head_kappa=None))
-    chain, graph = (solve(people, "full", engine=engine) for engine in ("chain", "gtsam"))
+    chain, graph = (
+        solve(people, "joint", engine=engine, constants="default") for engine in ("chain", "gtsam")
+    )
     for one, other in zip(chain, graph, strict=True):
         assert other.cost == pytest.approx(one.cost, abs=1e-2)
         np.testing.assert_allclose(difference(one.track.body, other.track.body), 0.0, atol=np.radians(1.0))
@@ -152,7 +153,7 @@ def rounds(frames: int) -> Track:
 
 
 def test_a_long_way_round_takes_no_more_steps_than_a_short_one() -> None:
-    model, steps = Model("full"), []
+    model, steps = Model("joint"), []
     for frames in (300, 6000):
         result = solve_packed(pack([rounds(frames)], model), model)
         assert (result.status == CONVERGED).all()
@@ -161,14 +162,14 @@ def test_a_long_way_round_takes_no_more_steps_than_a_short_one() -> None:
 
 
 def test_unseen_bodies_and_heads_point_where_people_go() -> None:
-    track, model = rounds(6000), Model("full")
+    track, model = rounds(6000), Model("joint")
     states = solve_packed(pack([track], model), model).states
     way = 0.06 * track.t + 0.5 * np.pi
     for place in (4, 5):
         assert np.abs(difference(states[:, place], way)).max() < np.radians(20.0)
 
 
-PRESETS = pytest.mark.parametrize("preset", ["joint", "full"])
+PRESETS = pytest.mark.parametrize("preset", ["joint", "joint-intentional"])
 
 
 def solved(tracks: Sequence[Track], preset: str) -> Sequence[Track]:
@@ -213,11 +214,8 @@ def test_ordinary_walks_have_no_rival(preset: str) -> None:
 @PRESETS
 def test_rivals_are_the_same_in_lanes(preset: str) -> None:
     model = Model(preset)
-    packed, calibration = pack([out_and_back(seed) for seed in range(12)], model), None
-    for calibration in (None, calibration_of(model.parameters)):
-        lanes, alone = (
-            solve_packed(packed, model, in_lanes=way, calibration=calibration) for way in (True, False)
-        )
-        assert np.abs(lanes.apart).max() > 0.5
-        np.testing.assert_allclose(lanes.apart, alone.apart, atol=1e-5)
-        np.testing.assert_allclose(lanes.covariance, alone.covariance, atol=1e-5)
+    packed = pack([out_and_back(seed) for seed in range(12)], model)
+    lanes, alone = (solve_packed(packed, model, in_lanes=way) for way in (True, False))
+    assert np.abs(lanes.apart).max() > 0.5
+    np.testing.assert_allclose(lanes.apart, alone.apart, atol=1e-5)
+    np.testing.assert_allclose(lanes.covariance, alone.covariance, atol=1e-5)

@@ -24,12 +24,11 @@ from graphtrack.model import (
     Parameters,
     presets,
 )
-from graphtrack.model.parameters import steady
 from graphtrack.smoothing import smooth, solve
 from graphtrack.tracks.track import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
-PRESETS = sorted(name for name in presets if not Model(name).has_modes)  # those that GTSAM solves
+PRESETS = sorted(presets)
 EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 # Between them they have every term.
 MOST_TERMS = pytest.mark.parametrize("preset", others_slow(PRESETS, ["joint-intentional", "joint-place"]))
@@ -106,7 +105,7 @@ def simulated(
 
 @pytest.mark.parametrize("frame", [0, 6, 11])
 def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> None:
-    parameters = steady(Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15)))
+    parameters = Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15))
     rng, model, total, position_total = np.random.default_rng(8), Model("position", parameters), 0.0, 0.0
     for _ in range(200):
         track, truth = simulated(rng, 12, 0.15, parameters)

@@ -20,7 +20,6 @@ from walks import out_and_back, turned
 import graphtrack as gt
 from graphtrack import OnlineSmoother, TrackSet, smooth
 from graphtrack.geometry.angles import difference, wrap
-from graphtrack.inference.chain import batch
 from graphtrack.model.observation import observations
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track
@@ -54,7 +53,7 @@ def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarr
 
 
 def solved(tracks: Sequence[Track], engine: str = "auto") -> Sequence[Track]:
-    return smooth(TrackSet(list(tracks)), "full", engine=engine).tracks
+    return smooth(TrackSet(list(tracks)), "joint", engine=engine, constants="default").tracks
 
 
 @pytest.fixture(scope="module")
@@ -91,13 +90,13 @@ def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track
     for track in tracks[:12]:
         found = []
         for given in (track, replace(track, t=track.t + FAR)):
-            smoother = OnlineSmoother("full", engine=engine)
+            smoother = OnlineSmoother("joint", engine=engine, constants="default")
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])
         assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
 
 
-@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("preset", ["joint", "joint-intentional"])
 @pytest.mark.parametrize("degrees", [180.0, 37.0])
 def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
     preset: str, degrees: float
@@ -130,12 +129,6 @@ def test_the_last_frame_is_the_same_online(preset: str) -> None:
     assert differences(simulated(preset), preset).max() < 0.01
 
 
-def test_the_last_frame_is_nearly_the_same_online_with_modes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Offline turns between modes and states are taken until nothing changes; online has one."""
-    monkeypatch.setattr(batch, "PASSES", 8)
-    assert differences(simulated("full"), "full").max() < 0.25
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 3])
 def test_the_last_frame_on_motion_capture(data_dir: Path, every: int) -> None:
@@ -147,5 +140,5 @@ def test_the_last_frame_on_motion_capture(data_dir: Path, every: int) -> None:
         for track in add_noise(some, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng):
             seen.append(replace(track[::every], track_id=len(seen)))
     scene = clips.with_tracks(seen)
-    for preset, body, head in (("separate", 0.01, 0.01), ("joint", 0.02, 0.02), ("full", 0.2, 0.6)):
+    for preset, body, head in (("separate", 0.01, 0.01), ("joint", 0.02, 0.02)):
         assert (differences(scene, preset, lag=2.0) < (body, head)).all()

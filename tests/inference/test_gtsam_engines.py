@@ -1,8 +1,7 @@
-"""GTSAM's engines against the chain: iSAM2 in a window and over the full history, and coupling modes."""
+"""GTSAM's engines against the chain: iSAM2 in a window and over the full history."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.online import OnlineSolver
-from graphtrack.model import LikelihoodParameters, Model, Parameters, Step, Term, presets
-from graphtrack.model.factors import von_mises_prior
+from graphtrack.model import LikelihoodParameters, Model, Parameters, presets
 from graphtrack.model.observation import observations
 from graphtrack.tracks.track import Track
 
@@ -24,16 +22,13 @@ EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_toleran
 CONVERGED: dict[str, Any] = {"relinearize_threshold": 1e-4, "step_tolerance": 1e-7, "max_iterations": 200}
 
 
-def online(
-    track: Track, model: Model | str, **options: Any
-) -> tuple[OnlineSolver, np.ndarray, np.ndarray, np.ndarray]:
-    """The smoother at the end, its estimates (n, 6), covariances (n, 6, 6), and modes (n, 2)."""
+def online(track: Track, model: Model | str, **options: Any) -> tuple[OnlineSolver, np.ndarray, np.ndarray]:
+    """The smoother at the end, its estimates (n, 6), and covariances (n, 6, 6)."""
     smoother = OnlineSolver(model, **options)
     found = [smoother.update(observation) for observation in observations(track)]
     assert {estimate.status for estimate in found} == {"new"}
     states = [[*e.position, *e.velocity, e.body, e.head] for e in found]
-    modes = np.array([[e.aligned_p, e.gait_offset] for e in found])
-    return smoother, np.array(states), np.array([e.covariance for e in found]), modes
+    return smoother, np.array(states), np.array([e.covariance for e in found])
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -84,8 +79,8 @@ def test_the_full_history_ends_at_the_batch_answer(model: Model, track: Track) -
 def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
     """They let frames go at the optimum; with the exact curvature there, or with GTSAM's."""
     track = walk(60, seed=2, noise=0.1, angle_kappa=3.0)
-    _, found, covariance, _ = online(track, preset, engine="isam2", lag=2.0, **CONVERGED)
-    _, fixed, expected, _ = online(track, preset, engine="fixed-lag", lag=2.0, **CONVERGED)
+    _, found, covariance = online(track, preset, engine="isam2", lag=2.0, **CONVERGED)
+    _, fixed, expected = online(track, preset, engine="fixed-lag", lag=2.0, **CONVERGED)
     _, chain, *_ = online(track, preset, engine="chain", lag=2.0)
     assert np.abs(apart(found, fixed)).max() < 1e-3
     spread = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
@@ -127,11 +122,11 @@ def test_a_late_observation_far_back_in_a_window_is_followed_to_the_end() -> Non
     assert np.abs(apart(found, states(batch))).max() < 1e-3
 
 
-@pytest.mark.parametrize("preset", others_slow(sorted(presets), ["separate", "joint", "full"]))
+@pytest.mark.parametrize("preset", others_slow(sorted(presets), ["separate", "joint", "joint-intentional"]))
 def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str) -> None:
     """With the defaults: the error of one Gauss–Newton step each, in standard deviations."""
     track = walk(40, seed=2, noise=0.1, angle_kappa=3.0)
-    _, chained, covariance, _ = online(track, preset, engine="chain", lag=2.0)
+    _, chained, covariance = online(track, preset, engine="chain", lag=2.0)
     known = np.isfinite(chained[-1])
     spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, known]
     for engine, lag in (("isam2", 2.0), ("isam2", None), ("fixed-lag", 2.0)):
@@ -176,13 +171,11 @@ def states(track: Track) -> np.ndarray:
 @TRACKS
 def test_offline_gtsam_ends_where_the_chain_does(make: Any) -> None:
     track = make()
-    chain, graph = (smooth_track(track, Model("full"), engine=engine) for engine in ("chain", "gtsam"))
+    chain, graph = (smooth_track(track, Model("joint"), engine=engine) for engine in ("chain", "gtsam"))
     assert graph.converged
     spread = np.sqrt(np.diagonal(chain.track.covariance, axis1=1, axis2=2))
     assert np.abs(apart(states(graph.track), states(chain.track)) / spread).max() < 2e-3
     assert graph.cost == pytest.approx(chain.cost, abs=1e-3)
-    np.testing.assert_allclose(graph.track.aligned_p, chain.track.aligned_p, atol=1e-4)
-    assert np.abs(difference(graph.track.gait_offset, chain.track.gait_offset)).max() < 1e-3
 
 
 @TRACKS
@@ -190,58 +183,11 @@ def test_offline_gtsam_ends_where_the_chain_does(make: Any) -> None:
 def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: Any, lag: Any) -> None:
     """One Gauss–Newton step each leaves that much; with class likelihoods they converge slowly."""
     track = make()
-    _, chain, covariance, modes = online(track, "full", engine="chain", lag=1.0)
-    _, found, _, found_modes = online(track, "full", engine=engine, lag=lag)
-    # Before a second has passed modes depend on velocities that are hardly known.
+    _, chain, covariance = online(track, "joint", engine="chain", lag=1.0)
+    _, found, _ = online(track, "joint", engine=engine, lag=lag)
+    # Before a second has passed velocities are hardly known.
     settled = track.t > track.t[0] + 1.0
     spread, classes = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), make is classified
     away = np.abs(apart(found, chain) / spread)[settled]
     assert np.median(away) < (0.2 if classes else 0.05)
     assert np.sqrt(np.mean(away**2)) < (0.4 if classes else 0.2) and away.max() < 1.5
-    # Of a full history they are inferred in more than 1 s.
-    assert np.abs(found_modes - modes)[settled, 0].max() < 0.05
-    assert np.abs(difference(found_modes[:, 1], modes[:, 1]))[settled].max() < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("engine", "lag"),
-    others_slow([("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)], [("fixed-lag", 1.0)]),
-)
-def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any) -> None:
-    seen = list(observations(side_stepping()))
-    seen[40], seen[41] = seen[41], seen[40]
-    options: dict[str, Any] = {"engine": engine, "lag": lag}
-    smoother = OnlineSolver("full", **options)
-    whole = [smoother.update(observation) for observation in seen]
-    assert whole[41].status == "late"
-    smoother = OnlineSolver("full", **options)
-    for k, observation in enumerate(seen):
-        found = smoother.update(observation)
-        if k in (30, 50):
-            smoother = OnlineSolver.from_state(smoother.state(), "full", **options)
-    np.testing.assert_allclose(found.position, whole[-1].position, atol=1e-3)
-    assert abs(difference(found.body, whole[-1].body)) < 1e-2
-    assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
-
-
-class Aside(Term):
-    """A custom factor without a kernel: the head is near a direction of its own, with κ = 20."""
-
-    uses = frozenset({"head"})
-
-    def cost(self, states: Any, track: Track, camera: Any = None) -> float:
-        return float(20.0 * np.sum(1.0 - np.cos(states.head - 2.6)))
-
-    def factors(self, step: Step) -> Sequence[Any]:
-        return [von_mises_prior(step.head_key, 2.6, 20.0)]
-
-
-@GTSAM_ENGINES
-def test_a_term_without_a_kernel_pulls_beside_modes(engine: Any, lag: Any) -> None:
-    track, model = side_stepping(0.5), Model("full", terms=[Aside])
-    with_it = [OnlineSolver(m, engine=engine, lag=lag) for m in (model, Model("full"))]
-    for seen in observations(track):
-        pulled, free = (smoother.update(seen) for smoother in with_it)
-    assert abs(difference(pulled.head, 2.6)) < 0.5 * abs(difference(free.head, 2.6))
-    assert OnlineSolver(model).engine == "isam2"  # the chain cannot follow it

@@ -164,7 +164,7 @@ def test_the_rate_goes_with_the_deviation() -> None:
     assert np.isfinite(GrowingRate(1.3, 1e4, 0.6).of(deviation)).all()
 
 
-@pytest.mark.parametrize("preset", ["joint-intentional", "full"])
+@pytest.mark.parametrize("preset", ["joint-intentional"])
 def test_the_parameters_own_rate_as_data_changes_nothing_on_any_engine(preset: str) -> None:
     track, model = walk(25, uneven=True), Model(preset)
     rate = model.parameters.motion.head_rate
@@ -173,9 +173,8 @@ def test_the_parameters_own_rate_as_data_changes_nothing_on_any_engine(preset: s
     def estimates(track: Track) -> list[Track]:
         found = [smooth_track(track, model, engine=engine).track for engine in ("chain", "gtsam")]
         found += [track_online(track, model, engine=e) for e in ("chain", "isam2", "fixed-lag")]
-        if preset != "full":
-            found.append(particle_filter(track, model, options=ParticleOptions(particles=50)).track)
-            found.append(intentional_tracker(track, model.parameters))
+        found.append(particle_filter(track, model, options=ParticleOptions(particles=50)).track)
+        found.append(intentional_tracker(track, model.parameters))
         return found
 
     for found, expected in zip(estimates(given), estimates(track), strict=True):

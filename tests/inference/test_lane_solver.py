@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibrated import seconds_to_ends
-from calibration_formulas import calibrated
 from random_tracks import contradicted, random_parameters, random_track
 from walks import walk
 
@@ -16,10 +14,9 @@ from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution
 from graphtrack.inference.chain import batch
 from graphtrack.inference.chain.batch import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
-from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.initialisation import pack, pack_to_solve
 from graphtrack.kernels.layout import LANES
-from graphtrack.model import GaitParameters, LikelihoodParameters, Model, MotionParameters, Parameters
+from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
@@ -45,7 +42,7 @@ def relative(covariance: FloatArray, other: FloatArray) -> float:
 
 
 def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
-    model, track = Model("full"), walk(25)
+    model, track = Model("social"), walk(25)
     few, many = [track] * (LARGE // 25 - 1), [track] * (LARGE // 25)
     assert not any(fit_lanes(few, model)) and all(fit_lanes(many, model))
     # A part of the work goes the way of the whole.
@@ -62,22 +59,22 @@ class Uphill(PlacePrior):
 
 
 def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
-    assert all(has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "full"))
+    assert all(
+        has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "social")
+    )
     assert has_lanes(Model("joint", terms=[PlacePrior]))
     assert not has_lanes(Model("joint", terms=[Uphill]))
-    types = pack([walk(5)], Model("full")).records.dtype
+    types = pack([walk(5)], Model("social")).records.dtype
     robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
     for model in (Model("joint"), Model("position", robust)):  # the linear terms do not do
         assert pack_to_solve([walk(5)], model).records.dtype == types
 
 
-@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("preset", ["joint", "joint-intentional"])
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
     parameters = random_parameters(rng) if seed in (3, 4) else None
-    if seed == 5:
-        parameters = Parameters(gait=GaitParameters(body_drift=2.0, head_drift=0.0))
     model = Model(preset, parameters, terms=[PlacePrior] if seed == 5 else [])
     beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
@@ -107,20 +104,16 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
             np.testing.assert_array_equal(found.track.position, expected.position)
 
 
-def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
+def test_positions_of_many_tracks_are_those_of_one() -> None:
     """In one pass, from records of the linear terms alone: as in two, from those of all terms."""
     unseen = replace(walk(3, seed=5), position=np.full((3, 2), np.nan))
     tracks = [*scene(3), unseen, replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
-    swinging = Parameters(MotionParameters(oscillation_std=0.03))
-    for parameters in (Model("position").parameters, swinging):
+    for parameters in (Parameters(), Parameters(MotionParameters(acceleration_density=0.03))):
         model = Model("position", replace(parameters, likelihood=LikelihoodParameters(robust="none")))
         whole, lean = pack(tracks, model), pack_to_solve(tracks, model)
         assert lean.records.itemsize < whole.records.itemsize / 3
         expected = solve_packed(whole, model)
-        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-        velocity = expected.states[:, 2:4]
-        expected.covariance[:] = calibrated(expected.covariance, velocity, model.parameters, ends)
-        found = solve_packed(lean, model, calibration=calibration_of(model.parameters))
+        found = solve_packed(lean, model)
         for name in ("states", "cost", "status", "covariance"):
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-14, err_msg=name

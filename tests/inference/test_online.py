@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import gtsam
 import numpy as np
 import pytest
-from calibration_formulas import calibrated
 from costs import build_graph
+from reported_covariances import reported
 from selection import others_slow
 from walks import walk, without
 
@@ -68,7 +68,7 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     graph, values = build_graph(steps, model, states)
     keys = [key for step in steps for key in variable_keys(step, model)]
     information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
-    return calibrated(np.linalg.inv(information)[-6:, -6:].copy(), smoothed.velocity[-1], model.parameters)
+    return reported(np.linalg.inv(information)[-6:, -6:])
 
 
 # Against independent solutions.

@@ -16,7 +16,7 @@ from graphtrack.model import presets
 DT, SPEED = 0.1, 1.0
 DIRECTIONS = 2.0 * np.pi * np.arange(16) / 16
 QUANTA = (0.0, 0.05, 0.1)  # metres
-BODY_FOLLOWS = ("joint-body", "joint", "joint-intentional", "full", "joint-place", "social")
+BODY_FOLLOWS = ("joint-body", "joint", "joint-intentional", "joint-place", "social")
 MODELS = [name for name in presets if name != "position"]
 
 
@@ -56,7 +56,7 @@ def check(found: gt.Track, track: gt.Track, direction: float, quantum: float, co
         assert abs(wrap(found.body[-1] - direction)) < np.radians(10.0 + 200.0 * quantum)
 
 
-@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "full"]))
+@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "joint-intentional"]))
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("path", [walk, stand_and_walk, out_and_back])
 def test_online_states_follow_an_exact_walk_in_any_direction(model, quantum, path):
@@ -67,7 +67,7 @@ def test_online_states_follow_an_exact_walk_in_any_direction(model, quantum, pat
 
 
 @pytest.mark.parametrize("engine", ["isam2", "fixed-lag"])
-@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "full"]))
+@pytest.mark.parametrize("model", others_slow(MODELS, ["joint", "joint-intentional"]))
 def test_online_engines_of_gtsam_leave_saddles(model, engine):
     for direction, quantum in ((np.pi, 0.0), (np.pi, 0.05), (1.5 * np.pi, 0.0)):
         track = track_of(along(walk(3.0), direction, quantum))
@@ -111,6 +111,6 @@ def test_a_heading_is_taken_up_once_somebody_walks():
     travelled = np.maximum(DT * np.arange(n) - 10.0, 0.0)
     direction = np.radians(-130.0)
     track = track_of(along(travelled, direction, 0.0) + rng.normal(0.0, 0.05, (n, 2)))
-    body = gt.track_online(track, "full").body
+    body = gt.track_online(track).body
     assert body is not None
     assert np.abs(wrap(body[115:] - direction)).max() < np.radians(30.0)

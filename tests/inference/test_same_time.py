@@ -21,14 +21,14 @@ from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.same_time import SAME_TIME, merged
 
 ENGINES: list[Any] = ["chain", "fixed-lag", "isam2"]
-PRESETS = ["position", "separate", "joint", "full"]
+PRESETS = ["position", "separate", "joint", "joint-intentional"]
 LIKELIHOOD = LikelihoodParameters()
 EXTENDED = np.longdouble
 
 
 def model_of(density: float, preset: str = "position") -> Model:
     """A model whose covariances are those of the filter."""
-    motion = {"acceleration_density": density, "oscillation_std": 0.0}
+    motion = {"acceleration_density": density}
     return Model(preset).with_parameters(Parameters.from_dict({"motion": motion}))
 
 

@@ -22,6 +22,7 @@ from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import people_of
 from graphtrack.io.groups import read_groups
 from graphtrack.model import Model, Observation
+from graphtrack.model.model import default_parameters
 from graphtrack.simulation.scenario import Party, party
 from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import TrackAnswers
@@ -58,7 +59,7 @@ def errors(found: TrackSet, made: Party) -> dict[str, float]:
 @pytest.mark.parametrize(("solve", "share", "most"), [(gt.smooth, 0.5, 0.9), (gt.track_online, 0.7, np.inf)])
 def test_bodies_and_heads_of_a_party_are_found_from_positions(solve: Any, share: float, most: float) -> None:
     made, seen = positions()
-    full, social = (errors(solve(seen, model), made) for model in ("full", "social"))
+    full, social = (errors(solve(seen, model), made) for model in ("joint", "social"))
     assert social["body"] < min(most, share * full["body"]) and social["head"] < 0.85 * full["head"]
     assert not any("group" in track.inputs for track in solve(seen, "social"))
 
@@ -150,7 +151,7 @@ def test_people_without_identities_are_told_too_and_after_a_stop() -> None:
     frames = [
         (float(t), np.stack([track.position[k] for track in seen])) for k, t in enumerate(seen.tracks[0].t)
     ]
-    full, social = ([*starmap(OnlineTracker(model).update, frames)] for model in ("full", "social"))
+    full, social = ([*starmap(OnlineTracker(model).update, frames)] for model in ("joint", "social"))
     errors = [
         [
             abs(wrap(one.body - made.tracks.tracks[one.detection].true_body[k]))
@@ -207,7 +208,8 @@ def far_apart() -> gt.TrackSet:
 @pytest.mark.parametrize(("people", "within"), [(side_by_side, 0.02), (far_apart, 1e-9)])
 def test_who_is_in_no_conversation_is_as_without_groups(people, within: float) -> None:
     for solve, tolerance in ((gt.smooth, within), (gt.track_online, 0.02)):
-        one, other = (solve(people(), model) for model in ("full", "social"))
+        plain = gt.Model("joint", default_parameters("social"))
+        one, other = (solve(people(), model, constants="default") for model in (plain, "social"))
         for a, b in zip(one, other, strict=True):
             np.testing.assert_allclose(wrap(a.body - b.body), 0.0, atol=tolerance)
             np.testing.assert_allclose(wrap(a.head - b.head), 0.0, atol=tolerance)
@@ -263,11 +265,11 @@ def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir:
 
     walking = gt.read(data_dir / "ucy" / "zara01" / "obsmat.txt")
     noisy = gt.add_noise(walking, position_std=0.1, rng=np.random.default_rng(1))
-    off = {"full": [], "social": []}
+    off = {"joint": [], "social": []}
     for model, found in off.items():
         for estimate, track in zip(gt.smooth(noisy, model), walking, strict=True):
             if len(track) > 2:
                 velocity = np.gradient(track.position, track.t, axis=0)
                 moves = np.linalg.norm(velocity, axis=1) > 0.5
                 found.extend(np.abs(wrap(estimate.body - direction(velocity)))[moves])
-    assert np.mean(off["social"]) < 1.02 * np.mean(off["full"])
+    assert np.mean(off["social"]) < 1.02 * np.mean(off["joint"])

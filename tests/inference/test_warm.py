@@ -32,7 +32,7 @@ from graphtrack.tracks.track import TrackSet
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))
 
 
-@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("preset", ["joint"])
 def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
     for name in ("position", preset):
         warm_up(name)
@@ -64,13 +64,13 @@ def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
 
 
 def test_models_and_ways_make_ready_what_they_call(rehearsed) -> None:
-    linear, full, lanes = Model("position"), Model("full"), (False, True)
+    linear, full, lanes = Model("position"), Model("joint"), (False, True)
     for given, options, names in (
         ((linear, "chain"), {"in_lanes": lanes}, ("offline linear",)),
-        ((full, "chain"), {"in_lanes": (False,)}, ("offline modes",)),
-        ((full, "chain"), {"in_lanes": (True,)}, ("lanes modes",)),
-        ((full, "chain"), {"in_lanes": lanes}, ("offline modes", "lanes modes")),
-        ((full, "gtsam"), {"in_lanes": lanes}, ("graph modes",)),
+        ((full, "chain"), {"in_lanes": (False,)}, ("offline angles",)),
+        ((full, "chain"), {"in_lanes": (True,)}, ("lanes angles",)),
+        ((full, "chain"), {"in_lanes": lanes}, ("offline angles", "lanes angles")),
+        ((full, "gtsam"), {"in_lanes": lanes}, ("graph angles",)),
     ):
         make_solver_ready(*given, **options)
         assert sorted(rehearsed[-1]) == sorted(("the offline solver", *names))

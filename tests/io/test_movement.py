@@ -38,7 +38,7 @@ and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing
 def estimates() -> TrackSet:
     """Two people in different frames, with all output of an engine."""
     rng, made = np.random.default_rng(0), made_tracks()
-    people = gt.smooth(made.with_tracks([made.by_id(3)[:4], made.by_id(8)[2:]]), "full")
+    people = gt.smooth(made.with_tracks([made.by_id(3)[:4], made.by_id(8)[2:]]))
     return people.map(
         lambda one: replace(one, pixel=rng.uniform(0.0, 99.0, (4, 2)), inputs={"near": rng.uniform(size=4)})
     )

@@ -33,8 +33,6 @@ OPTIONAL = {
     "score": (st.floats(0.0, 1e6),),
     "velocity": (METRES, 2),
     "true_body": (ANGLES,),
-    "gait_offset": (ANGLES,),
-    "aligned_p": (st.floats(0.0, 1.0),),
 }
 
 

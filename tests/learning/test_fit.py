@@ -28,7 +28,6 @@ from graphtrack.model import (
     Parameters,
     States,
 )
-from graphtrack.model.parameters import steady
 from graphtrack.model.terms.orientation import HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.simulation.crowd import Place, crowd
@@ -116,7 +115,7 @@ def test_the_normaliser_of_class_likelihoods_is_the_integral_over_the_orientatio
 
 def test_the_likelihood_of_the_truth_is_that_of_a_gaussian_about_the_estimate() -> None:
     (track,) = unknown("position", 3, 1, 20, truth=True)
-    model = Model("position", steady(TRUE))
+    model = Model("position", TRUE)
     from graphtrack.baselines.kalman import smooth_states
 
     states = smooth_states(track, TRUE)
@@ -155,7 +154,7 @@ def test_what_the_data_do_not_show_is_kept_and_said() -> None:
 
 
 def test_the_evidence_of_couplings_is_not_known() -> None:
-    for preset in ("joint", "joint-intentional", "full"):
+    for preset in ("joint", "joint-intentional"):
         with pytest.raises(InputError, match="BodyFollowsMotion"):
             fit(TrackSet((replace(walk(10), true_position=None),)), preset, criterion="evidence")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,12 +13,9 @@ from walks import walk
 from graphtrack.baselines.kalman import smooth_states
 from graphtrack.geometry.angles import log_blurred, unit, von_mises_log_density, wrap
 from graphtrack.learning import fit
-from graphtrack.learning.fit import free_parameters, with_values
-from graphtrack.learning.optimise import FOLDS, Objective, Solver, withheld
-from graphtrack.model import CouplingParameters, GaitParameters, Model
-from graphtrack.model.parameters import scale_of, steady
+from graphtrack.learning.optimise import FOLDS, Objective, withheld
+from graphtrack.model import CouplingParameters, Model
 from graphtrack.simulation.degrade import add_noise
-from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
 
 
@@ -87,7 +84,7 @@ def test_hidden_positions_are_foretold_as_by_the_smoother_of_linear_models() -> 
         for k in np.flatnonzero(np.isnan(part.position[:, 0])):
             spread = states.covariance[k][:2, :2] + TRUE.likelihood.position_std**2 * np.eye(2)
             expected += float(stats.multivariate_normal.logpdf(track.position[k], states.mean[k][:2], spread))
-    model = Model("position", steady(TRUE))
+    model = Model("position", TRUE)
     assert Objective([track], model, None, "prediction")(model)[0] == pytest.approx(expected, rel=1e-4)
 
 
@@ -126,44 +123,3 @@ def test_without_a_truth_couplings_are_learned_by_prediction() -> None:
     learned = {one.name: one for one in found.learned}
     assert learned["coupling.head_body_kappa"].value > 1.0
     assert not learned["likelihood.position_std"].note
-
-
-def test_solutions_with_modes_are_those_of_the_engine() -> None:
-    tracks, model = people_of_both_kinds(4, 60, 0), Model("full")
-    solved, offset = Solver(list(tracks), model, None)(model), 0
-    for result in solve(tracks, model):
-        frames = slice(offset, offset + len(result.track))
-        offset = frames.stop
-        np.testing.assert_allclose(solved.states[frames, :2], result.track.position, atol=1e-4)
-        np.testing.assert_allclose(wrap(solved.states[frames, 4] - result.track.body), 0.0, atol=1e-3)
-        np.testing.assert_allclose(solved.result.modes[frames, 0], result.track.aligned_p, atol=1e-3)
-
-
-def test_every_parameter_of_the_modes_is_learned_within_its_range() -> None:
-    model = Model("full")
-    free = free_parameters(model, list(people_of_both_kinds(2, 10, 0)))
-    names = {one.name for one in free}
-    group = GaitParameters()
-    learned = {field.name for field in fields(group) if scale_of(group, field.name) is not None}
-    assert {f"gait.{name}" for name in learned} <= names and "head_common" not in learned
-    for one in free:
-        assert one.from_scale(one.to_scale(one.get(model))) == pytest.approx(one.get(model))
-        for far in (-20.0, 20.0):
-            changed = with_values(model, [one], np.array([far]))  # InputError if it is out of range
-            assert one.get(changed) != one.get(model)
-    probabilities = {one.name for one in free if one.is_probability}
-    assert {"gait.body_aligned", "gait.head_aligned", "gait.head_evidence"} <= probabilities
-    assert "gait.body_lead" not in probabilities
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("criterion", ["truth", "prediction"])
-def test_full_is_learned(criterion: str) -> None:
-    found = fit(people_of_both_kinds(12, 20, 2), "full", criterion=criterion, hold_out=0.25)  # type: ignore[arg-type]
-    assert found.scores["learned from"][1] > found.scores["learned from"][0]
-    told = {one.name: one for one in found.learned}
-    assert "gait.body_aligned" in told
-    for one in found.learned:
-        # At a limit of its range a value is where its interval ends.
-        inside = one.low < one.high and one.low <= one.value <= one.high
-        assert one.value == one.start if one.note else inside

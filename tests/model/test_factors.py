@@ -16,7 +16,6 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.inference.state import values_of
 from graphtrack.model import FactorShapeError, Model, Observation, States, Step, Term, custom_factor
-from graphtrack.model.factors import COUPLED, is_recoupled
 from graphtrack.tracks.track import Track
 
 VALUES = values_of([Step(0, Observation(0.0))], np.ones((1, 6)), Model("separate"))
@@ -114,20 +113,3 @@ class WrongShape(FavouriteHeading):
 def test_a_term_of_ones_own_with_a_wrong_shape_is_told_so() -> None:
     with pytest.raises(FactorShapeError, match="residual of shape"):
         smooth_track(walk(5), Model("position", terms=[WrongShape]))
-
-
-def test_couplings_are_renewed_where_one_of_them_changes_by_a_share() -> None:
-    kappas, doubt, steering = (0, 3), 6, 7
-    row = [4.0, 1.0, 0.0, 2.0, 0.0, 1.0, 0.2, 0.5, *[1.0] * (len(COUPLED) - 8)]
-    absent = [0.0] * len(COUPLED)
-    assert is_recoupled(None, row, 0.1)
-    assert not is_recoupled(row, row, 0.1) and not is_recoupled(absent, absent, 0.1)
-    for place in (*kappas, doubt, steering):
-        for share, expected in ((0.05, False), (0.2, True)):
-            changed = list(row)
-            changed[place] += share * (1.0 if place == doubt else row[place])
-            assert is_recoupled(row, changed, 0.1) is is_recoupled(changed, row, 0.1) is expected
-    for kappa in kappas:  # and a turn of what it points to
-        turned = list(row)
-        turned[kappa + 1 : kappa + 3] = -row[kappa + 2], row[kappa + 1]
-        assert is_recoupled(row, turned, 0.1)

@@ -112,7 +112,7 @@ WRONG = [
     ("preset = 7\n", "7", KNOWN),
     ('preset = "unknown"\n', "'unknown'", KNOWN),
     ('preset = ["joint"]\n', "['joint']", KNOWN),
-    ("[motoin]\n", "the unknown table 'motoin'", "motion, orientation, coupling, gait, likelihood"),
+    ("[motoin]\n", "the unknown table 'motoin'", "motion, orientation, coupling, likelihood"),
     ("foo = 1\n", "the unknown key 'foo'", "preset"),
     ("motion = 3\n", "", "a table [motion]"),
     ("[[motion]]\nacceleration_density = 1.0\n", "", "a table [motion]"),
@@ -237,10 +237,3 @@ def test_a_scene_stays_with_a_model_whose_parameters_change() -> None:
 def test_a_stream_goes_on_with_the_scene_that_it_began_with() -> None:
     known = gt.Model("position", scene={"death_rate": 0.2})
     assert settings_of(known, "chain", 2.0, None, None)["model.scene.death_rate"] == 0.2
-
-
-def test_keys_of_earlier_files_are_read():
-    earlier = {"motion": {"sway_std": 0.5, "sway_rate": 1.5}, "gait": {"head_rate_seen": 0.25}}
-    found = Parameters.from_dict(earlier)
-    assert (found.motion.oscillation_std, found.motion.oscillation_rate) == (0.5, 1.5)
-    assert found.gait.head_rate_observed == 0.25

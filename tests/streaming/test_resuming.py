@@ -80,7 +80,7 @@ class Case:
 CASES = {
     "plain": Case(),
     "model file": Case(MODEL_FILE),
-    "full": Case("full"),
+    "separate": Case("separate"),
     "known scene": Case(scene=SCENE),
     "known scene in a model file": Case(MODEL_FILE, scene="clutter_density = 1e-4\n"),
     "walkable": Case(walkable=True),
@@ -249,7 +249,7 @@ def assert_tracker_continues(
     "name",
     others_slow(
         [name for name, case in CASES.items() if not (case.groups or case.attention or case.forecast)],
-        ["full", "camera"],
+        ["separate", "camera"],
     ),
 )
 @pytest.mark.parametrize("engine", ["chain", "fixed-lag"])

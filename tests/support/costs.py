@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from calibrated import seconds_to_ends
-from calibration_formulas import calibrated
+from reported_covariances import reported
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import window_graph
@@ -19,10 +18,10 @@ from graphtrack.tracks.track import Track
 def build_graph(
     steps: Sequence[Step], model: Model, states: States
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The factor graph of a whole track, without coupling modes, and states as its values."""
+    """The factor graph of a whole track, and states as its values."""
     window = Window(tuple(steps), np.zeros((0, 6)), None, (float(states.body[0]), float(states.head[0])))
     columns = np.column_stack([states.position, states.velocity, states.body, states.head])
-    return window_graph(window, model, None), values_of(steps, columns, model)
+    return window_graph(window, model), values_of(steps, columns, model)
 
 
 def states_of(track: Track) -> States:
@@ -95,4 +94,4 @@ def stated_blocks(
     blocks = np.full((len(estimate), 6, 6), np.nan)
     for k in range(len(estimate)):
         blocks[k][used] = covariance[k * m : (k + 1) * m, k * m : (k + 1) * m]
-    return calibrated(blocks, estimate.velocity, model.parameters, seconds_to_ends(estimate.t))
+    return reported(blocks)

@@ -152,7 +152,7 @@ OPTION_FILES = (
         b'{"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 9], [0, 0]]]}',
         WalkableArea.of,
     ),
-    InputReader("model", "m.toml", b'preset = "full"\n[motion]\n[scene]\ndeath_rate = 0.05\n', Model.load),
+    InputReader("model", "m.toml", b'preset = "joint"\n[motion]\n[scene]\ndeath_rate = 0.05\n', Model.load),
     InputReader("group parameters", "p.toml", b"[groups]\nstride = 0.7\n", GroupParameters.load),
     InputReader("attention parameters", "p.toml", b"[attention]\n", AttentionParameters.load),
     InputReader("forecast parameters", "p.toml", b"[forecast]\n", ForecastParameters.load),

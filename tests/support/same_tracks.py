@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.tracks.track import Track, TrackSet
 
-ANGLES = ("body", "head", "true_body", "true_head", "gait_offset")
+ANGLES = ("body", "head", "true_body", "true_head")
 
 
 def assert_same(

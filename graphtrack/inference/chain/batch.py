@@ -13,17 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins, unwind
 from graphtrack.inference.chain.covariance import (
-    Calibration,
     admit_rivals,
-    calibrate_tracks,
+    as_von_mises,
     find_covariances,
     hide,
 )
 from graphtrack.inference.chain.initialisation import (
-    ObservedAngles,
     empty_result,
     initialise,
     linear_part,
@@ -40,7 +38,6 @@ from graphtrack.inference.chain.newton import (
     STEPS,
     Result,
     Workspace,
-    as_variable,
     copy_rows,
     cost_of,
     minimise,
@@ -55,39 +52,19 @@ from graphtrack.kernels.lanes import (
     lane_memory,
     lane_of,
     lane_records,
-    masked,
-    negate,
-    only_lane,
 )
 from graphtrack.kernels.layout import BODY, HEAD, LANES, VY, Chain, N, Problem, X, Y
 from graphtrack.model import Model
-from graphtrack.model.coupling_modes import (
-    ModeMemory,
-    add_glance_variance,
-    classified_in,
-    mode_memory,
-    renew_couplings,
-    report_modes,
-)
 from graphtrack.model.generator import OF_PRESETS, program_of
 from graphtrack.model.packing import PackedTracks, number_rows
-from graphtrack.model.terms.couplings import gait_of
 from graphtrack.tracks.track import Track
-
-PASSES = 2
-"""Alternations of coupling modes and states; a third does not reduce the errors on motion capture."""
-
-ON_THE_WAY = 1e-6
-"""Relative cost tolerance of all descents but the last, which only determine the modes; their last step is
-still taken. The result is within 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, of that at 10⁻¹²."""
 
 
 class Options(NamedTuple):
     """Options of the solver."""
 
     max_iterations: int  # most steps of each descent
-    tolerance: float  # of the cost, of the last descent; see `ON_THE_WAY`
-    passes: int  # alternations of coupling modes and states
+    tolerance: float  # of the cost
     search: bool  # True for basin search
 
 
@@ -100,7 +77,6 @@ class Group(NamedTuple):
     states: FloatArray  # (n, 6)
     covariance: FloatArray  # (n, 6, 6)
     workspace: Workspace
-    modes: Any  # ModeMemory; None without coupling modes
 
 
 # -- one group -----------------------------------------------------------------------------------------------
@@ -114,10 +90,10 @@ TIE = 1e-8  # Relative decrease of the cost for another basin; smaller differenc
 
 
 @inner
-def settle(group: Group, max_iterations: int, tolerance: float, search: bool, last: bool) -> None:
-    """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost.
+def settle(group: Group, max_iterations: int, tolerance: float, search: bool) -> None:
+    """Minimise the costs of a group, with ``search`` from another basin with a lower predicted cost too.
 
-    ``last``: also from reversed turns of about 180°, and from rivals that were found with other couplings.
+    Also from reversed turns of about 180°.
     """
     chain, states, workspace = group.chain, group.states, group.workspace
     ended, again, nothing = workspace.ended, workspace.again, 0.0 * chain.length
@@ -130,23 +106,16 @@ def settle(group: Group, max_iterations: int, tolerance: float, search: bool, la
         copy_rows(0, chain.n, again, states)
     minimise(chain, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
-    # Couplings found with the states of one basin make it the cheapest: another must be far cheaper.
-    gain = NEAR if last and group.modes is not None else 0.0
-    rivals = ended[RIVAL_COST] < math.inf
-    if last and any_of(rivals):
-        copy_rows(0, chain.n, workspace.rival, again)
-        ended[RIVAL_COST] = nothing + math.inf
-        challenge(group, rivals, gain, max_iterations, tolerance)
     if search:
         elsewhere = find_other_basins(group.all_tracks, group.tracks, chain, states, AT_END, workspace)
-        challenge(group, elsewhere, 0.0, max_iterations, tolerance)
-    wound = unwind(chain, states, 4.0 * NEAR if last else 0.0, workspace)
-    challenge(group, wound, gain, max_iterations, tolerance)
+        challenge(group, elsewhere, max_iterations, tolerance)
+    wound = unwind(chain, states, 4.0 * NEAR, workspace)
+    challenge(group, wound, max_iterations, tolerance)
 
 
 @inner
-def challenge(group: Group, elsewhere: Any, gain: float, max_iterations: int, tolerance: float) -> None:
-    """Minimise from ``workspace.again`` where it lies ``elsewhere``; stay there if it costs ``gain`` less."""
+def challenge(group: Group, elsewhere: Any, max_iterations: int, tolerance: float) -> None:
+    """Minimise from ``workspace.again`` where it lies ``elsewhere``; stay there if it costs less."""
     workspace = group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     elsewhere &= ended[STATUS] < float(NOT_FINITE)
@@ -155,7 +124,7 @@ def challenge(group: Group, elsewhere: Any, gain: float, max_iterations: int, to
             start[1, i] = start[0, i]
         first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
         minimise(group.chain, again, max_iterations, tolerance, workspace)
-        lower = ended[COST] < cost - gain - TIE * (1.0 + abs(cost))
+        lower = ended[COST] < cost - TIE * (1.0 + abs(cost))
         better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & lower
         swap(group.chain.n, better, again, group.states)
         keep_rival(group, elsewhere, choose(better, cost, ended[COST]), again)
@@ -210,41 +179,6 @@ def note_rivals(group: Group, apart: FloatArray) -> None:
                 apart[begin + k, i] = share * turn
 
 
-@merged
-def improve(group: Group, max_iterations: int, tolerance: float) -> None:
-    """Search other basins once the couplings are known, and stay there if they cost less."""
-    n, states, workspace = group.chain.n, group.states, group.workspace
-    ended, before, start = workspace.ended, workspace.before, workspace.start
-    first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-    copy_rows(0, n, states, before)
-    first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(group, max_iterations, tolerance, as_variable(True), as_variable(False))
-    better = ended[COST] < cost
-    swap(n, negate(better), before, states)
-    keep_rival(group, cost < math.inf, choose(better, cost, ended[COST]), before)
-    for i in range(N):
-        start[0, i] = choose(better, start[0, i], first[i])
-    ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
-    ended[COST] = choose(better, ended[COST], cost)
-    ended[STATUS] = choose(better, ended[STATUS], status)
-    ended[STEPS] = choose(better, ended[STEPS], steps)
-
-
-@inner
-def put_back(group: Group, guessed: BoolArray, before: FloatArray) -> None:
-    """Restore the angles that are ``guessed`` (N, 2) to those before the descent; no rows: none."""
-    length = group.chain.length
-    for lane in range(lane_count(length)):
-        if group.tracks[lane] < 0 or len(guessed) == 0:
-            continue
-        begin = group.all_tracks.offsets[group.tracks[lane]]
-        here = masked(group.states, only_lane(length > 0.0, lane))
-        for k in range(int(lane_of(length, lane))):
-            for i in range(2):
-                if guessed[begin + k, i]:
-                    here[k, BODY + i] = lane_of(before[k, BODY + i], lane)
-
-
 @inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
     """Write the outcome of a group's descents into the result."""
@@ -257,78 +191,28 @@ def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
 
 
 @merged
-def solve_group(
-    group: Group,
-    options: Options,
-    gait: Any,
-    guessed: BoolArray,
-    classified: bool,
-    searched: bool,
-    result: Result,
-) -> None:
-    """Solve a group from its states, in place, with covariances.
-
-    Parameters
-    ----------
-    gait : parameters of the coupling modes; None without
-    guessed : (N, 2) angles that only couplings hold: they are constant until there are couplings
-    classified : True if class likelihoods of the head are known
-    searched : search basins with couplings, too, as class likelihoods require
-    """
-    chain, tracks, states, workspace = group.chain, group.tracks, group.states, group.workspace
-    length, ended, most = chain.length, workspace.ended, options.max_iterations
-    copy_rows(0, chain.n, states, workspace.before)
-    ended[RIVAL_COST] = 0.0 * length + math.inf
-    on_the_way = max(options.tolerance, ON_THE_WAY)
-    tolerance = options.tolerance if gait is None else on_the_way
-    settle(group, most, tolerance, options.search, as_variable(gait is None))
-    if gait is not None:
-        # The first descent has no couplings; then modes and states alternate.
-        put_back(group, guessed, workspace.before)
-        for left in range(options.passes - 1, -1, -1):
-            last = left == 0
-            tolerance = options.tolerance if last else on_the_way
-            renew_couplings(chain, states, gait, classified, last, group.modes)
-            # Costs of rivals are invalid with other couplings.
-            ended[RIVAL_COST] = choose(ended[RIVAL_COST] < math.inf, 1e300, math.inf)
-            settle(group, most, tolerance, as_variable(False), last)
-            if searched:
-                improve(group, most, tolerance)
-    note(tracks, ended, result)
+def solve_group(group: Group, options: Options, result: Result) -> None:
+    """Solve a group from its states, in place, with covariances."""
+    chain, states, workspace = group.chain, group.states, group.workspace
+    workspace.ended[RIVAL_COST] = 0.0 * chain.length + math.inf
+    settle(group, options.max_iterations, options.tolerance, options.search)
+    note(group.tracks, workspace.ended, result)
     note_rivals(group, result.apart)
-    find_covariances(chain, states, group.modes, workspace, group.covariance)
-    if gait is not None:
-        add_glance_variance(chain.n, group.modes.held, gait, group.covariance)
-        for lane in range(lane_count(length)):
-            if tracks[lane] >= 0:
-                begin, frames = group.all_tracks.offsets[tracks[lane]], int(lane_of(length, lane))
-                report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
+    find_covariances(chain, states, workspace, group.covariance)
 
 
 # -- one track after the other -------------------------------------------------------------------------------
 
 
-@inner_allocating
-def modes_of(gait: Any, n: int) -> Any:
-    """Memory for the coupling modes of up to n frames; None without modes."""
-    if gait is None:
-        return None
-    return mode_memory(n)
-
-
 @allocating
-def solve_tracks(
-    problem: Problem, longest: int, options: Options, gait: Any, guessed: BoolArray, result: Result
-) -> None:
+def solve_tracks(problem: Problem, longest: int, options: Options, result: Result) -> None:
     """Solve all tracks, of up to ``longest`` frames, from the states in the result, in place."""
-    tracks, memory, modes = np.empty(1, np.int64), workspace(longest), modes_of(gait, longest)
+    tracks, memory = np.empty(1, np.int64), workspace(longest)
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         tracks[0], chain = track, Chain(problem, track, b - a, float(b - a))
-        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], memory, modes)
-        body, head = classified_in(problem, track)
-        searched = options.search and (body or head)
-        solve_group(group, options, gait, guessed, head, searched, result)
+        group = Group(chain, problem, tracks, result.states[a:b], result.covariance[a:b], memory)
+        solve_group(group, options, result)
 
 
 # -- a track in each lane ------------------------------------------------------------------------------------
@@ -345,10 +229,9 @@ class LaneArrays(NamedTuple):
     states: FloatArray  # (n, 6, LANES)
     covariance: FloatArray  # (n, 6, 6, LANES)
     workspace: Workspace
-    modes: ModeMemory | None
 
 
-def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
+def lane_arrays(n: int, numbers: int) -> LaneArrays:
     """Memory for tracks of up to n frames with records of a given size."""
     return LaneArrays(
         np.empty(LANES, np.int64),
@@ -359,12 +242,11 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
         np.empty((n, N, LANES)),
         np.empty((n, N, N, LANES)),
         _for_lanes(workspace(n)),
-        _for_lanes(mode_memory(n)) if has_modes else None,
     )
 
 
 def _for_lanes(memory: Any) -> Any:
-    """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
+    """A `Workspace` with room in every array of floats for all lanes."""
     return type(memory)(*(np.zeros((*one.shape, LANES)) if one.dtype == float else one for one in memory))
 
 
@@ -382,9 +264,9 @@ def lane_group(problem: Problem, arrays: LaneArrays, n: int) -> Group:
         arrays.offsets,
         problem.prior,
     )
-    chain, modes = Chain(own, 0, n, lane_array(arrays.length, N)[0]), lane_memory(arrays.modes)
+    chain = Chain(own, 0, n, lane_array(arrays.length, N)[0])
     states, covariance = lane_array(arrays.states, N), lane_array(arrays.covariance, N)
-    return Group(chain, problem, arrays.tracks, states, covariance, lane_memory(arrays.workspace), modes)
+    return Group(chain, problem, arrays.tracks, states, covariance, lane_memory(arrays.workspace))
 
 
 @compiled
@@ -437,8 +319,6 @@ def solve_lanes(
     numbers: FloatArray,
     order: NDArray[np.int64],
     options: Options,
-    gait: Any,
-    guessed: BoolArray,
     arrays: LaneArrays,
     result: Result,
 ) -> None:
@@ -446,7 +326,7 @@ def solve_lanes(
     for begin in range(0, len(order), LANES):
         n = gather(problem, numbers, result.states, order, begin, arrays)
         group = lane_group(problem, arrays, n)
-        solve_group(group, options, gait, guessed, False, False, result)
+        solve_group(group, options, result)
         scatter(problem, arrays, result)
 
 
@@ -455,8 +335,6 @@ LARGE = 200_000
 and a third of the time."""
 
 LONGEST = 5_000  # Frames of a track that is solved in lanes; a frame takes 15 kB
-
-NONE_GUESSED = np.zeros((0, 2), bool)
 
 
 def is_chain(model: Model) -> bool:
@@ -492,7 +370,6 @@ def solve_packed(
     tolerance: float = 1e-12,
     basin_search: bool = True,
     in_lanes: bool = False,
-    calibration: Calibration | None = None,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
 
@@ -503,13 +380,11 @@ def solve_packed(
     tolerance : of the predicted decrease of the cost, relative to 1 + the cost
     basin_search : basin search on a grid of orientations where there may be a better basin
     in_lanes : solve several tracks at a time, of those that `fit_lanes` selects
-    calibration : of the covariances; None: they are the inverse curvature
 
     Returns
     -------
     Result
-        States in the world's frame, angles not wrapped; NaN for variables outside the model. Costs are those
-        given the couplings' weights; covariances include the uncertainty of the modes.
+        States in the world's frame, angles not wrapped; NaN for variables outside the model.
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
@@ -517,58 +392,22 @@ def solve_packed(
     else:
         problem, angles_observed = problem_of(packed), observed_angles(packed, model)
         initialise(problem, linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
-        guessed = never_observed(packed, angles_observed) if model.has_modes else NONE_GUESSED
-        options = Options(max_iterations, tolerance, PASSES, basin_search)
-        solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
+        solve_terms(problem, Options(max_iterations, tolerance, basin_search), result, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
-    if calibration is not None:
-        calibrate_tracks(result.covariance, result.states, packed.offsets, packed.t, calibration)
+    as_von_mises(result.covariance)
     admit_rivals(result.covariance, result.apart)
     return result
 
 
-def solve_terms(
-    model: Model,
-    problem: Problem,
-    options: Options,
-    result: Result,
-    guessed: BoolArray = NONE_GUESSED,
-    *,
-    in_lanes: bool = False,
-) -> None:
-    """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states."""
+def solve_terms(problem: Problem, options: Options, result: Result, *, in_lanes: bool = False) -> None:
+    """Solve all tracks from the states in ``result``, in place."""
     lengths = np.diff(problem.offsets)
-    longest, gait = int(lengths.max()), gait_of(model.parameters.gait) if model.has_modes else None
-    if gait is not None:
-        for gate in program_of(model).switched:
-            problem.records[gate] = 0.0
+    longest = int(lengths.max())
     if in_lanes:
         numbers, order = number_rows(problem.records), np.argsort(-lengths, kind="stable")
-        arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
-        solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
+        solve_lanes(problem, numbers, order, options, lane_arrays(longest, numbers.shape[1]), result)
     else:
-        solve_tracks(problem, longest, options, gait, guessed, result)
-
-
-def never_observed(packed: PackedTracks, angles_observed: ObservedAngles) -> BoolArray:
-    """Body and head (N, 2) of tracks without any observation of them, in frames without other information."""
-    found = np.zeros((packed.offsets[-1], 2), bool)
-    known = np.zeros(len(found), bool)
-    if any(track.inputs for track in packed.tracks):
-        known = np.concatenate([_has_input(track) for track in packed.tracks])
-    for place, vectors in enumerate((angles_observed.body, angles_observed.head)):
-        if len(vectors):
-            was_observed = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
-            found[:, place] = ~np.repeat(was_observed, np.diff(packed.offsets)) & ~known
-    return found
-
-
-def _has_input(track: Track) -> BoolArray:
-    """(n,) True in frames with a known input."""
-    known = np.zeros(len(track), bool)
-    for values in track.inputs.values():
-        known |= np.isfinite(values.reshape(len(track), -1)).any(axis=1)
-    return known
+        solve_tracks(problem, longest, options, result)
 
 
 @compiled

@@ -365,5 +365,5 @@ def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
     steps, status = np.zeros((2, m), np.int64)
-    states, covariance, modes = np.zeros((n, 6)), np.empty((n, 6, 6)), np.full((n, 3), np.nan)
-    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, modes, np.zeros((n, 2)))
+    states, covariance = np.zeros((n, 6)), np.empty((n, 6, 6))
+    return Result(states, covariance, np.zeros(m), np.zeros(m), steps, status, np.zeros((n, 2)))

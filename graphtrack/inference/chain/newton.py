@@ -328,7 +328,6 @@ class Result(NamedTuple):
     cost: FloatArray  # (m,)
     iterations: NDArray[np.int64]  # (m,)
     status: NDArray[np.int64]  # (m,) see CONVERGED
-    modes: FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and a glance's
     apart: FloatArray  # (N, 2) spread of body and head to another basin, radians
 
 

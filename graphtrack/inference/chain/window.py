@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.covariance import calibration_of
 from graphtrack.inference.chain.window_kernels import (
     AS_SET,
     NOTHING,
@@ -37,17 +36,15 @@ from graphtrack.inference.state import (
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import N, Problem
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.factors import COUPLED
 from graphtrack.model.generator import FrameProgram, program_of
 from graphtrack.model.observation import OWN
 from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import FramePacker
-from graphtrack.model.terms.couplings import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """Arrays of the last solution that the next observation reads; a row for each frame."""
 _OF_FRAMES = ("body_heights", "head_heights", "states", *_FACTORISATION)
-_OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
+_OF_WINDOW = ("shared", "origin", "prior")
 """The arrays of a slot that move with a window: those with a row for each frame, its records left out, and
 others."""
 
@@ -173,10 +170,6 @@ class ChainWindow:
     lag : length of the window in seconds, back from its newest step
     tolerance : of the predicted decrease of the cost by the next Newton step, relative to 1 + the cost
     max_iterations : most Newton steps for an observation
-
-    Attributes
-    ----------
-    modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
     """
 
     def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
@@ -189,7 +182,6 @@ class ChainWindow:
         self._has_prior = False
         # True if an observation can have several modes: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
-        self.modes = (math.nan, math.nan, math.nan)
         self._warm = False
         self._take_slot(_LEAST_FRAMES)
 
@@ -206,11 +198,6 @@ class ChainWindow:
         outside = [False] * 4 + [not self._model.has_body, not self._model.has_head]
         states[:, outside] = math.nan
         return states
-
-    @property
-    def modes_before(self) -> FloatArray | None:
-        """Probabilities of both couplings' modes in the frame before the window; None without modes."""
-        return self._slot.modes_before.copy() if self._model.has_modes else None
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; return its estimate."""
@@ -244,12 +231,12 @@ class ChainWindow:
         kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
         if self._warm:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
-            if self._model.has_modes:
-                newest = self._slot.records[self._offsets[1] - 1]
-                kept["coupled"] = np.array([newest[name] for name in COUPLED])
-        if self._slot.classified[0]:
-            kept["classified"] = np.ones(1)
-        return {name: values.copy() for name, values in kept.items()}
+        found = {name: values.copy() for name, values in kept.items()}
+        if self._warm:
+            found["link"][-1:] = (
+                0.0  # the newest frame has no link yet: what is there is of an earlier window
+            )
+        return found
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Continue from `window` and `arrays`; KeyError or ValueError if these do not fit."""
@@ -258,30 +245,19 @@ class ChainWindow:
         self._states[:n] = arrays["states"].reshape(n, N)
         self._prior[:] = arrays["prior"].reshape(N + 2, N)
         self._warm = "message" in arrays
-        self._slot.classified[0] = "classified" in arrays
         if self._warm:
             for name in _FACTORISATION:
                 rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
-        if "coupled" in arrays:
-            # The next frame starts from the couplings of the newest solution.
-            for name, value in zip(COUPLED, arrays["coupled"], strict=True):
-                self._slot.records[name][n - 1] = value
 
     def _take(self, window: Window, origin: FloatArray) -> None:
-        prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
-        classified = self._slot.classified[0]
-        if window.prior is not None:
-            prior = window.prior.rows(origin)
-        if window.modes is not None and self._model.has_modes:
-            modes = window.modes
+        prior = np.zeros((N + 2, N)) if window.prior is None else window.prior.rows(origin)
         n, size = len(window.steps), _size_for(len(window.steps))
         if size == len(self._states):
             self._clear()
         else:
             self._take_slot(size)
-        self._origin[:], self._prior[:], self._slot.modes_before[:] = origin, prior, modes
-        self._slot.classified[0] = classified
+        self._origin[:], self._prior[:] = origin, prior
         self._has_prior, self._anchor = window.prior is not None, window.anchor
         for k, step in enumerate(window.steps):
             self._put(k, step, k > 0)
@@ -293,9 +269,6 @@ class ChainWindow:
         point = self._prior[N + 1 :, 4:] if self._has_prior else states[:1, 4:]
         turns = np.round(np.diff(states[:, 4:], axis=0, prepend=point) / (2.0 * np.pi))
         states[:, 4:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
-        if n and self._model.has_modes:
-            # The couplings given these states.
-            _advanced([self], NOTHING, self._steps[-1:], solves=False)
 
     def window(self) -> Window:
         """The window from which another smoother can resume."""
@@ -305,7 +278,7 @@ class ChainWindow:
             there = self._prior.copy()
             there[N + 1, :2] += self._origin
             prior = MarginalPrior(there[:N], there[N], there[N + 1])
-        return Window(steps, self.states(), prior, self._anchor, self.modes_before)
+        return Window(steps, self.states(), prior, self._anchor)
 
     # -- arrays --------------------------------------------------------------------------------------------
 
@@ -321,8 +294,7 @@ class ChainWindow:
     def _clear(self) -> None:
         slot = self._slot
         self._frames.take(window_problem(slot.windows, slot.number))
-        slot.offsets[:], slot.prior[:], slot.origin[:], slot.modes_before[:] = 0, 0.0, 0.0, 0.0
-        slot.classified[0] = False
+        slot.offsets[:], slot.prior[:], slot.origin[:] = 0, 0.0, 0.0
         self._warm = False
 
     def _make_room(self) -> None:
@@ -393,7 +365,7 @@ def _taken(
 ) -> list[Newest | Exception]:
     """Take the results of `_advanced` for some windows; return the newest states or the errors."""
     found: list[Newest | Exception] = []
-    fine, modes = advanced.fine.tolist(), advanced.modes.tolist()
+    fine = advanced.fine.tolist()
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
         window._warm = fine[k]
         if not fine[k]:
@@ -404,24 +376,20 @@ def _taken(
         if leave[k]:
             del window._steps[: leave[k]]
             window._has_prior = True
-        window.modes = (modes[k][0], modes[k][1], modes[k][2])
         found.append((advanced.state[k], advanced.covariance[k]))
     return found
 
 
-def _advanced(
-    windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step], solves: bool = True
-) -> tuple[Advanced, list[int]]:
+def _advanced(windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step]) -> tuple[Advanced, list[int]]:
     """The compiled call; its results, and the number of steps that leave each window."""
     first, n = windows[0], len(windows)
-    leave = [solves * leaving(one._steps, one._lag, step) for one, step in zip(windows, steps, strict=True)]
+    leave = [leaving(one._steps, one._lag, step) for one, step in zip(windows, steps, strict=True)]
     tasks = [
-        (one._slot.number, adds, solves, one._warm, one._ambiguous, gone)
+        (one._slot.number, adds, one._warm, one._ambiguous, gone)
         for one, gone in zip(windows, leave, strict=True)
     ]
-    found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 3), math.nan))
-    gait = gait_of_model(first._model) if first._model.has_modes else None
-    advance(first._slot.windows, np.array(tasks, TASK), first._rules, gait, found)
+    found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)))
+    advance(first._slot.windows, np.array(tasks, TASK), first._rules, found)
     return found, leave
 
 
@@ -433,14 +401,7 @@ def _size_for(frames: int) -> int:
     return size
 
 
-@lru_cache(16)
-def gait_of_model(model: Model) -> Gait:
-    """The parameters of the modes."""
-    return gait_of(model.parameters.gait)
-
-
 @lru_cache(64)
 def _rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
     """The same object for equal parameters, so that windows that share it can be solved together."""
-    calibration = calibration_of(model.parameters)
-    return Rules(model.has_body, model.has_head, max_iterations, tolerance, calibration)
+    return Rules(model.has_body, model.has_head, max_iterations, tolerance)

@@ -6,14 +6,14 @@ Windows are independent: results do not depend on which windows are solved toget
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import Calibration, add_spread, calibrate_newest, hide
+from graphtrack.inference.chain.covariance import as_von_mises, hide
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -40,23 +40,9 @@ from graphtrack.inference.chain.newton import (
 )
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums, X, Y
-from graphtrack.model.coupling_modes import (
-    BODY_MODE,
-    GLANCE,
-    HEAD_MODE,
-    ModeMemory,
-    classified_in,
-    glance_variance,
-    is_observed,
-    mode_memory,
-    normalise,
-    renew_couplings,
-    report_modes,
-)
 from graphtrack.model.generator import FrameProgram, add_frame, cut
 from graphtrack.model.packing import CLASS_DIRECTIONS
-from graphtrack.model.terms.couplings import ROW, Gait
-from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding_in_frame, steer
+from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding_in_frame
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 
@@ -79,8 +65,6 @@ class Windows(NamedTuple):
     trigonometry: FloatArray  # (S, n, 4)
     message: FloatArray  # (S, n, 7, 6)
     factored: FloatArray  # (S, n, 6)
-    modes_before: FloatArray  # (S, 2, ROW) both couplings' modes in the frame before the window
-    classified: NDArray[np.bool_]  # (S, 1) True once class likelihoods of the head were observed
 
     @classmethod
     def empty(cls, program: FrameProgram, size: int, slots: int) -> Windows:
@@ -101,8 +85,6 @@ class Windows(NamedTuple):
             np.zeros((*frames, 4)),
             np.zeros((*frames, N + 1, N)),
             np.zeros((*frames, N)),
-            np.zeros((slots, 2, ROW)),
-            np.zeros((slots, 1), bool),
         )
 
 
@@ -165,7 +147,6 @@ def solve_window(
     states: FloatArray,
     warm: bool,
     search: bool,
-    keeps: bool,
     rules: Rules,
     memory: Workspace,
     covariance: FloatArray,
@@ -173,16 +154,15 @@ def solve_window(
     """Newton steps on the states (n, 6) of a window, in place; returns True on success.
 
     ``warm``: the memory holds the factorisation of all frames but the newest. ``search``: search basins too.
-    ``keeps``: settled frames are not factored again, and follow those after them. ``covariance`` (6, 6)
-    becomes that of the newest frame.
+    Settled frames are not factored again, and follow those after them. ``covariance`` (6, 6) becomes that of
+    the newest frame.
     """
     problem, n, last, tracks = chain.problem, chain.n, chain.n - 1, np.zeros(1, np.int64)
     exactly, ended = as_variable(True), memory.ended
     memory.kept[0], memory.kept[1] = 0, 1
     if warm and last > 0:
         predict_newest(chain, states, memory)
-        if keeps:
-            memory.kept[0] = settled(states[:last], memory.factored, 1.0)
+        memory.kept[0] = settled(states[:last], memory.factored, 1.0)
     before = states[first_open(memory)].copy()
     minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
     kept, memory.kept[0] = memory.kept[0], 0
@@ -408,7 +388,6 @@ TASK = np.dtype(
     [
         ("slot", np.int64),
         ("adds", np.int64),  # start of the frame after its newest
-        ("solves", np.int64),  # 1: it is solved; 0: only its couplings are set
         ("warm", np.int64),  # 1: the factorisation of the last solution is valid
         ("searches", np.int64),  # 1: other basins are searched
         ("leave", np.int64),  # number of frames that leave it then
@@ -427,7 +406,6 @@ class Rules(NamedTuple):
     has_head: bool
     max_iterations: int
     tolerance: float
-    calibration: Calibration
 
 
 class Advanced(NamedTuple):
@@ -435,8 +413,7 @@ class Advanced(NamedTuple):
 
     fine: NDArray[np.bool_]  # (P,) True on success; else the window is unchanged
     state: FloatArray  # (P, 6) of the newest frame, in the world
-    covariance: FloatArray  # (P, 6, 6) calibrated, with the uncertainty of the coupling modes
-    modes: FloatArray  # (P, 3) as in `Result`
+    covariance: FloatArray  # (P, 6, 6)
 
 
 @inner
@@ -464,30 +441,21 @@ def report(
         hide(BODY, advanced.state[p], reported)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], reported)
-    age, first = math.inf, problem.offsets[0]
-    if problem.records[first].velocity_information > 0.0:
-        age = 0.0
-        for k in range(first + 1, problem.offsets[1]):
-            age += problem.records[k].dt
-    calibrate_newest(advanced.covariance, advanced.state, p, age, rules.calibration)
+    as_von_mises(advanced.covariance[p : p + 1])
 
 
 @allocating
-def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanced: Advanced) -> None:
+def advance(windows: Windows, tasks: np.ndarray, rules: Rules, advanced: Advanced) -> None:
     """Add one observation, or a change, to each of some windows of a block.
 
     Parameters
     ----------
     tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
     rules : of all windows
-    gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
-    memory, before, covariances = workspace(size), np.empty((size, N)), np.empty((1, N, N))
-    covariance = covariances[0]
-    # Coupling modes change the couplings of all frames: no factorisation is kept.
-    keeps, modes = as_variable(gait is None), mode_memory(0 if gait is None else size)
+    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
     for p in range(len(tasks)):
         task, slot = tasks[p], tasks[p].slot
         problem = problem_in(windows, slot)
@@ -495,29 +463,17 @@ def advance(windows: Windows, tasks: np.ndarray, rules: Rules, gait: Any, advanc
         begin, end = problem.offsets[0], problem.offsets[1]
         states, own = windows.states[slot, begin:end], memory_in(windows, slot, begin, memory)
         chain = chain_of(problem)
-        if gait is not None:
-            classified = infer_couplings(windows, task, chain, states, own, gait, modes)
-            report_modes(1, 0, modes.held[end - begin - 1 :], advanced.modes[p : p + 1])
-        if task.solves != 0:
-            warm, searches = task.warm != 0, task.searches != 0
-            advanced.fine[p] = solve_window(chain, states, warm, searches, keeps, rules, own, covariance)
-            if not advanced.fine[p]:
-                problem.offsets[1] = begin + kept
-                assign(states[:kept], before[:kept])
-                continue
-            if gait is not None:
-                add_spread(chain, states, modes.spread, own, chain.n - 1, covariances)
-                covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
-            report(problem, states[chain.n - 1], rules, covariance, p, advanced)
-            for k in range(task.leave):
-                oldest = problem.offsets[0]
-                here = windows.states[slot, oldest : oldest + 2]
-                marginalise_oldest(problem, here, memory_in(windows, slot, oldest, memory))
-                if gait is not None:
-                    normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
-                    normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
-        if gait is not None:
-            windows.classified[slot, 0] = classified
+        warm, searches = task.warm != 0, task.searches != 0
+        advanced.fine[p] = solve_window(chain, states, warm, searches, rules, own, covariance)
+        if not advanced.fine[p]:
+            problem.offsets[1] = begin + kept
+            assign(states[:kept], before[:kept])
+            continue
+        report(problem, states[chain.n - 1], rules, covariance, p, advanced)
+        for _ in range(task.leave):
+            oldest = problem.offsets[0]
+            here = windows.states[slot, oldest : oldest + 2]
+            marginalise_oldest(problem, here, memory_in(windows, slot, oldest, memory))
 
 
 @merged
@@ -530,42 +486,3 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, before: FloatArr
             predict_state(states, end, problem.records[end].dt)
         problem.offsets[1] = end + 1
     return int(end - begin)
-
-
-@compiled
-def carry_over(before: Any, after: Any, rate_observed: float) -> None:
-    """Couplings of a new frame, and the steering to it, equal to the previous frame's."""
-    share = after.body_aligned_kappa / before.body_aligned_kappa if before.body_aligned_kappa > 0.0 else 0.0
-    after.motion_body_kappa = share * before.motion_body_kappa
-    after.motion_body_cos, after.motion_body_sin = before.motion_body_cos, before.motion_body_sin
-    share = after.head_aligned_kappa / before.head_aligned_kappa if before.head_aligned_kappa > 0.0 else 0.0
-    after.head_body_kappa = share * before.head_body_kappa
-    after.head_body_cos, after.head_body_sin = before.head_body_cos, before.head_body_sin
-    after.head_doubt = before.head_doubt
-    rate = -math.log1p(-before.steer_gain) / before.dt if before.steer_gain > 0.0 else 0.0
-    if is_observed(before) != is_observed(after):
-        rate *= rate_observed if is_observed(after) else 1.0 / max(rate_observed, 1e-9)
-    steer(after, min(rate, after.steer_rate))
-
-
-@merged
-def infer_couplings(
-    windows: Windows,
-    task: Any,
-    chain: Chain,
-    states: FloatArray,
-    own: Workspace,
-    gait: Gait,
-    modes: ModeMemory,
-) -> bool:
-    """Recompute the couplings of a window from its states; True if a frame has class likelihoods."""
-    problem, slot, end = chain.problem, task.slot, chain.problem.offsets[1]
-    if task.warm != 0 and task.adds != NOTHING and chain.n > 1:
-        # Modes depend on the states: first the states are updated with the new observation.
-        carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_observed)
-        predict_newest(chain, states, own)
-        task.warm = 0
-    classified = bool(windows.classified[slot, 0]) or classified_in(problem, chain.track)[1]
-    assign(modes.before, windows.modes_before[slot])
-    renew_couplings(chain, states, gait, classified, as_variable(True), modes)
-    return classified

@@ -12,9 +12,8 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
-from graphtrack.inference.chain.batch import PASSES, never_observed
-from graphtrack.inference.chain.covariance import calibrate_tracks, calibration_of
-from graphtrack.inference.chain.initialisation import initial_states, observed_angles, pack
+from graphtrack.inference.chain.covariance import as_von_mises
+from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
@@ -28,7 +27,7 @@ from graphtrack.inference.engines import (
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.state import Window, states_of, values_of, variable_keys, variables
 from graphtrack.model import Model, Step
-from graphtrack.model.factors import Couplings, von_mises_prior
+from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import chain
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
@@ -46,10 +45,10 @@ def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
     return graph
 
 
-def window_graph(window: Window, model: Model, couplings: Couplings | None) -> gtsam.NonlinearFactorGraph:
+def window_graph(window: Window, model: Model) -> gtsam.NonlinearFactorGraph:
     """The factors on the variables of a window's steps only, without links to other steps."""
     inside = frozenset(keys_of(window.steps, model))
-    factors = [factor for step in window.steps for factor in model.factors(step, couplings)]
+    factors = [factor for step in window.steps for factor in model.factors(step)]
     factors += beginning(window, model)
     return graph_of(factor for factor in factors if inside.issuperset(factor.keys()))
 
@@ -119,8 +118,7 @@ def smooth_graph(
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
     The grid of orientations is searched before and after the descent; with user-defined kernels only where an
-    observation can have several modes. Coupling modes alternate with the graph's states. Terms without a
-    kernel are used in the graph only.
+    observation can have several modes. Terms without a kernel are used in the graph only.
 
     Raises
     ------
@@ -134,29 +132,13 @@ def smooth_graph(
     view = _view(model, steps, first)
     body, head = first[0, 4:].tolist()
     window = Window(tuple(steps), first, None, (body, head))
-    # With coupling modes the factors read the couplings from the view; else these are constant.
-    graph = window_graph(window, model, None if view is None else view.couplings)
+    graph = window_graph(window, model)
     values = values_of(steps, first, model)
     descent = _Descent(graph, steps, model, options, view if options.basin_search else None)
     try:
-        if view is not None and model.has_modes:
-            # The first descent has no couplings; then modes and states alternate.
-            view.decouple()
         begun = graph.error(values)
         values, costs, converged = descent.lower(descent.elsewhere(values, AT_START) or values)
         costs[0] = begun
-        if view is not None and model.has_modes:
-            # Without couplings an orientation that was never observed is undetermined, and drifts.
-            states = states_of(values, steps, model)
-            packed = pack([track], model.compiled, camera)
-            guessed = never_observed(packed, observed_angles(packed, model))
-            states[:, 4:] = np.where(guessed, first[:, 4:], states[:, 4:])
-            values = values_of(steps, states, model)
-            # Class likelihoods have basins that only the couplings distinguish.
-            again = descent.lower if any(step.is_ambiguous for step in steps) else descent
-            for _ in range(PASSES):
-                view.renew(states_of(values, steps, model))
-                values, costs, converged = again(values)
         marginals = marginals_of(graph, values)
         covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
     except (RuntimeError, ArithmeticError) as error:
@@ -164,31 +146,28 @@ def smooth_graph(
             track.track_id, with_extreme(" ".join(str(error).split())[:200], track, model)
         ) from error
     states = states_of(values, steps, model)
-    if view is not None and model.has_modes:
-        view.widen(states, covariance)
-    offsets, t = np.array([0, len(track)]), track.t - track.t[0]
-    calibrate_tracks(covariance, states, offsets, t, calibration_of(model.parameters))
+    offsets = np.array([0, len(track)])
+    as_von_mises(covariance)
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     for reason in lost_by_rounding(track.dt, offsets, covariance, model).values():
         raise SolveError(track.track_id, reason)
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
-    modes = np.full((len(track), 3), np.nan) if view is None else view.modes
-    (estimate,) = estimated_tracks([track], offsets, states, covariance, modes)
+    (estimate,) = estimated_tracks([track], offsets, states, covariance)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 
 
 def _view(model: Model, steps: Sequence[Step], states: FloatArray) -> ChainView | None:
     """The kernels' view of a track, unless an engine would have to be compiled for user-defined terms."""
     known = model.compiled
-    if has_own_kernels(model) and not model.has_modes:
+    if has_own_kernels(model):
         outliers = model.parameters.likelihood.outlier_probability > 0.0
         if not outliers and not any(step.is_ambiguous for step in steps):
             return None
         make_solver_ready(known, "gtsam", complete=True)
     view = ChainView(known)
-    view.follow(steps, states, None, complete=True)
+    view.follow(steps, states, None)
     return view
 
 

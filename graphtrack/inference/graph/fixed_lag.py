@@ -22,7 +22,6 @@ from graphtrack.inference.state import (
     variable_keys,
 )
 from graphtrack.model import Model, Step
-from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
 
 # Metres, m/s or radians. Only larger steps can overshoot; smaller ones skip two evaluations of the cost.
@@ -44,7 +43,6 @@ class FixedLag:
     step_tolerance : the Gauss–Newton steps of an observation end when none of the variables changes by more
         than this (metres, m/s, radians)
     max_iterations : most steps for an observation
-    couplings : couplings of each step of the window, set by the modes
     """
 
     def __init__(
@@ -53,9 +51,8 @@ class FixedLag:
         lag: float,
         step_tolerance: float,
         max_iterations: int,
-        couplings: Couplings | None = None,
     ) -> None:
-        self._model, self._lag, self._couplings = model, lag, couplings
+        self._model, self._lag = model, lag
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
         # The complete state, with the newest estimate once solved: replaced, never changed.
         self._window = EMPTY
@@ -78,11 +75,6 @@ class FixedLag:
         steps, states = (*before.steps, step), np.vstack([before.states, state])
         anchor = before.anchor if before.steps else (state[4], state[5])
         self._newest = self._solve(replace(before, steps=steps, states=states, anchor=anchor))
-
-    def recouple(self, steps: Sequence[Step]) -> None:
-        """Re-evaluate the couplings of some steps."""
-        if steps:  # all are re-linearised
-            self._newest = None
 
     def settled(self) -> Newest:
         """The newest step's estimate, once the window is solved."""
@@ -113,8 +105,7 @@ class FixedLag:
     def _solve(self, window: Window) -> Newest:
         steps, made = window.steps, self._factors
         self._factors = {
-            step: made[step] if step in made else graph_of(self._model.factors(step, self._couplings))
-            for step in steps
+            step: made[step] if step in made else graph_of(self._model.factors(step)) for step in steps
         }
         start = graph_of(beginning(window, self._model))
         graph = gtsam.NonlinearFactorGraph(start)

@@ -28,7 +28,6 @@ from graphtrack.inference.state import (
 )
 from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
-from graphtrack.model.factors import Couplings
 from graphtrack.packages import gtsam
 
 _WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM stops back-substitution into the past
@@ -55,7 +54,6 @@ class Isam2:
     step_tolerance : the updates for an observation end when all variables are within this, or within twice
         the threshold, of their linearisation points
     max_iterations : most updates for an observation
-    couplings : couplings of each step, set by the modes; see `recouple`
 
     Attributes
     ----------
@@ -70,16 +68,13 @@ class Isam2:
         relinearize_threshold: float,
         step_tolerance: float,
         max_iterations: int,
-        couplings: Couplings | None = None,
     ) -> None:
-        self._model, self._lag, self._couplings = model, lag, couplings
+        self._model, self._lag = model, lag
         self._threshold, self._max_iterations = relinearize_threshold, max_iterations
         self._tolerance = max(2.0 * relinearize_threshold, step_tolerance)
         self._classified = False
         self.steps: list[Step]
         self._anchor: Angles | None
-        # Index of a step → indices of iSAM2's factors that may read couplings.
-        self._custom: dict[int, dict[int, gtsam.CustomFactor]]
         self._marginals: set[int]
         # Saved estimates of a full history: of all steps, and of the later steps.
         self._estimates: gtsam.Values
@@ -110,26 +105,15 @@ class Isam2:
         if step.is_ambiguous and not self._classified:
             self._waiting, self._classified = self.window(), True
         self._build_waiting()
-        factors = self._model.factors(step, self._couplings)
+        factors = self._model.factors(step)
         if not self.steps:
             self._anchor = (state[4], state[5])
             window = Window((step,), np.array([state]), None, self._anchor)
             factors += beginning(window, self._model)
         values = values_of([step], np.array([state]), self._model)
         self.steps.append(step)
-        self._note(step, factors, self._update(factors, values))
+        self._update(factors, values)
         self._slide()
-
-    def recouple(self, steps: Sequence[Step]) -> None:
-        """Re-evaluate the couplings of some steps, with one update if there are any."""
-        if not steps:
-            return
-        self._build_waiting()
-        exchanged = [entry for step in steps for entry in self._custom[step.index].items()]
-        graph = [factor for _, factor in exchanged]
-        slots = iter(zip(self._update(graph, removed=[slot for slot, _ in exchanged]), graph, strict=True))
-        for step in steps:
-            self._custom[step.index] = dict(next(slots) for _ in self._custom[step.index])
 
     def memory(self) -> Mapping[str, Any]:
         """The current state, for `load_memory`."""
@@ -137,7 +121,6 @@ class Isam2:
         if self._waiting is None and self._lag < math.inf:
             # A copy takes a twentieth of an update; for a full history it would take more than the update.
             memory["isam"] = gtsam.ISAM2(self.isam)
-            memory["_custom"] = copy(self._custom)
         return memory
 
     def load_memory(self, memory: Mapping[str, Any]) -> None:
@@ -154,20 +137,12 @@ class Isam2:
 
     # -- iSAM2 ---------------------------------------------------------------------------------------------
 
-    def _note(self, step: Step, factors: Sequence[gtsam.NonlinearFactor], indices: Sequence[int]) -> None:
-        """Store the indices of a step's factors in iSAM2 that may read couplings."""
-        pairs = zip(indices, factors, strict=True)
-        self._custom[step.index] = {
-            index: factor for index, factor in pairs if isinstance(factor, gtsam.CustomFactor)
-        }
-
     def _update(
         self,
         factors: Sequence[gtsam.NonlinearFactor] = (),
         values: gtsam.Values | None = None,
-        removed: Sequence[int] = (),
-    ) -> list[int]:
-        """Update iSAM2 once; return the indices of the new factors."""
+    ) -> None:
+        """Update iSAM2 once."""
         # The newest variables last: the root of the tree is where the next observation comes in.
         order, again, n = gtsam.KeyGroupMap(), gtsam.KeyList(), leaving(self.steps, self._lag)
         for key in variable_keys(self.steps[-1], self._model):
@@ -178,8 +153,7 @@ class Isam2:
                     order.insert2(key, 0 if i < n else 1)
                     again.push_back(key)
         values = gtsam.Values() if values is None else values
-        result = self.isam.update(graph_of(factors), values, list(removed), order, None, again, True)
-        return list(result.getNewFactorsIndices())
+        self.isam.update(graph_of(factors), values, [], order, None, again, True)
 
     def settled(self) -> Newest:
         """The newest step's estimate, once no step is too far from its linearisation point."""
@@ -219,15 +193,10 @@ class Isam2:
         for key in keys_of(gone, self._model):
             keys.push_back(key)
         made, absorbed = self.isam.marginalizeLeavesWithIndices(keys)
-        for step in gone:
-            del self._custom[step.index]
         self._marginals = self._marginals - {*absorbed} | {*made}
         del self.steps[: len(gone)]
         # Its links to the previous step are part of the marginals now.
-        self.steps[0] = first = self.steps[0].alone()
-        there = self.isam.getFactorsUnsafe()
-        own = self._custom[first.index]
-        self._custom[first.index] = {i: factor for i, factor in own.items() if there.exists(i)}
+        self.steps[0] = self.steps[0].alone()
 
     def _build_waiting(self) -> None:
         """Restart with a window; if its factors raise, it stays pending."""
@@ -239,7 +208,7 @@ class Isam2:
         isam, steps = gtsam.ISAM2(_parameters(thresholds)), window.steps
         firm = window if window.prior is None else replace(window, prior=window.prior.firm(ANCHOR_KAPPA))
         held = beginning(firm, self._model)
-        factors = [self._model.factors(step, self._couplings) for step in steps]
+        factors = [self._model.factors(step) for step in steps]
         values = values_of(steps, window.states, self._model)
         graph = graph_of([*held, *(factor for own in factors for factor in own)])
         indices = iter(isam.update(graph, values).getNewFactorsIndices() if steps else ())
@@ -250,9 +219,6 @@ class Isam2:
         self._estimates, self._since = values, {}
         first = {next(indices) for _ in held}
         self._marginals = set() if window.prior is None else first
-        self._custom = {}
-        for step, own in zip(steps, factors, strict=True):
-            self._note(step, own, [next(indices) for _ in own])
 
     # -- saved states --------------------------------------------------------------------------------------
 

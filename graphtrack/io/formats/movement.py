@@ -439,7 +439,7 @@ class _Reading:
             empty = np.isnan(values).reshape(n, -1)
             if name != "covariance" and (empty.any(axis=1) & ~empty.all(axis=1)).any():
                 raise self.fail(f"{name} with missing values", "all of it, or none, in each frame")
-            if name in ("body", "head", "true_body", "true_head", "gait_offset"):
+            if name in ("body", "head", "true_body", "true_head"):
                 with np.errstate(invalid="ignore"):
                     inside = (values > -np.pi) & (values <= np.pi)
                     values = np.where(inside, values, wrap(values))

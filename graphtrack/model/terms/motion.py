@@ -14,9 +14,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import expm1
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import choose
 from graphtrack.kernels.layout import HEAD, VX, VY, Field, Kernel, X, Y
 from graphtrack.model.observation import States, Step
 from graphtrack.model.packing import PackedTracks
@@ -118,8 +116,6 @@ class Motion(Term):
     reads: ClassVar[tuple[str, ...]] = (
         "motion.acceleration_density",
         "motion.initial_speed_std",
-        "motion.oscillation_std",
-        "motion.oscillation_rate",
     )
     fields: ClassVar[tuple[Field, ...]] = (
         Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
@@ -236,24 +232,6 @@ def smooth_speed(velocity: FloatArray) -> FloatArray:
 
 
 @compiled
-def steer(frame: Any, rate: Any) -> None:
-    """Set the ``rate`` λ in 1/s at which a step is steered; see `steered_step`."""
-    dt, information = frame.dt, frame.motion_information
-    some = (rate * dt > 0.0) & (information > 0.0)
-    rate, dt = choose(some, rate, 1.0), choose(some, dt, 1.0)
-    x = rate * dt
-    small, once, twice = x < SMALL_TURN, expm1(-x), expm1(-2.0 * x)
-    reach = choose(small, dt * (1.0 - x / 2.0 + x * x / 6.0), -once / rate)
-    place = (dt + 2.0 * once / rate - twice / (2.0 * rate)) / (rate * rate)
-    place = choose(small, dt * dt * dt / 3.0 * (1.0 - 0.75 * x + 0.35 * x * x), place)
-    cross = choose(small, dt * dt / 2.0 * (1.0 - x + 7.0 * x * x / 12.0), once * once / (2.0 * rate * rate))
-    spread = choose(small, dt * (1.0 - x + 2.0 * x * x / 3.0), -twice / (2.0 * rate))
-    scale = information / (place * spread - cross * cross)
-    frame.steer_gain, frame.steer_reach = choose(some, -once, 0.0), reach
-    frame.steer_place, frame.steer_cross, frame.steer_spread = spread * scale, -cross * scale, place * scale
-
-
-@compiled
 def add_steered_motion(
     before: FloatArray,
     state: FloatArray,
@@ -356,7 +334,6 @@ ADD_STEERED_MOTION = Kernel(
     gate="steer_gain",
     variables=("position", "velocity"),
     before=("position", "velocity", "head"),
-    switched=True,
 )
 
 
@@ -379,7 +356,6 @@ class IntentionalMotion(Motion):
         Field("steer_place", "information on the position, on both, and on the velocity"),
         Field("steer_cross", ""),
         Field("steer_spread", ""),
-        Field("steer_rate", "λ in 1/s, before scaling by the modes"),
     )
     kernels = (*Motion.kernels, ADD_STEERED_MOTION)
 
@@ -425,7 +401,6 @@ class IntentionalMotion(Motion):
         if motion.head_rate == 0.0:
             return
         rates = head_rates(packed.input(HEAD_RATE), motion.head_rate)
-        records["steer_rate"] = rates
         records["velocity_information"] = np.where(packed.is_first, motion.initial_speed_std**-2, 0.0)
         dt, rate = packed.dt[~packed.is_first], rates[~packed.is_first]
         moments = steered_step(dt, rate)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from graphtrack.geometry.angles import (
     mixture_log_density,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import exp, log, log_i0e
+from graphtrack.kernels.arithmetic import exp, log
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose
 from graphtrack.kernels.layout import Field, Kernel, names_of
@@ -67,9 +67,6 @@ def _turning(name: Variable) -> Kernel:
     return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names)
 
 
-_READ = ("diffusion", "white_share", "turn_rate", "turn_time")
-
-
 class _OrientationDynamics(Term):
     """Rotational diffusion of one orientation."""
 
@@ -110,7 +107,7 @@ class BodyDynamics(_OrientationDynamics):
     name = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
-    reads = tuple(f"orientation.body_{name}" for name in _READ)
+    reads = ("orientation.body_diffusion",)
     fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     scaled = (("body_turn_kappa", "orientation.body_diffusion", -1.0),)
     kernels = (_turning("body"),)
@@ -123,19 +120,11 @@ class HeadDynamics(_OrientationDynamics):
     name = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True
-    reads = tuple(f"orientation.head_{name}" for name in _READ)
+    reads = ("orientation.head_diffusion",)
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     scaled = (("head_turn_kappa", "orientation.head_diffusion", -1.0),)
     kernels = (_turning("head"),)
     log_normaliser = _OrientationDynamics.turns_normaliser
-
-
-@compiled
-def doubted(outliers: Any, kappa: Any, doubt: Any) -> Any:
-    """The outliers' density, where classes are uninformative with the probability ``doubt``."""
-    if not any_of(doubt > 0.0):
-        return outliers
-    return outliers + doubt * (1.0 - outliers) * math.exp(log_i0e(kappa))
 
 
 @compiled
@@ -146,7 +135,6 @@ def add_classes(
     heights: FloatArray,
     directions: FloatArray,
     kappa: float,
-    doubt: float,
     exact: bool,
     gradient: FloatArray,
     hessian: FloatArray,
@@ -154,16 +142,15 @@ def add_classes(
     """Class likelihoods: −log of a mixture of von Mises densities and a uniform one.
 
     ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
-    their sum; ``directions`` (k, 2) the centres' cosines and sines. ``doubt`` is the probability that the
-    classes are uninformative.
+    their sum; ``directions`` (k, 2) the centres' cosines and sines.
     """
     n_classes = len(directions)
-    density = doubted(heights[n_classes], kappa, doubt)
+    density = 1.0 * heights[n_classes]
     along = turn = square = mean_cos = mean_sin = 0.0
     for c in range(n_classes):
         close = cos * directions[c, 0] + sin * directions[c, 1]
         across = sin * directions[c, 0] - cos * directions[c, 1]
-        value = (1.0 - doubt) * heights[c] * math.exp(kappa * (close - 1.0))
+        value = heights[c] * math.exp(kappa * (close - 1.0))
         density += value
         along += value * close
         turn += value * across
@@ -189,15 +176,14 @@ def add_class_quarter_turns(
     heights: FloatArray,
     directions: FloatArray,
     kappa: float,
-    doubt: float,
     cost: FloatArray,
 ) -> None:
     """Cost of class likelihoods at a direction and at its quarter turns, by symmetry."""
     n = len(directions)
     quarter = n // 4
-    here = onward = opposite = back = doubted(heights[n], kappa, doubt)
+    here = onward = opposite = back = 1.0 * heights[n]
     for c in range(n):
-        value = (1.0 - doubt) * math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
+        value = math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
         here += heights[c] * value
         onward += heights[(c + quarter) % n] * value
         opposite += heights[(c + 2 * quarter) % n] * value
@@ -276,7 +262,7 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     names = names_of(name)
     angle = {"mean_cos": f"observed_{name}_cos", "mean_sin": f"observed_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
-    classes = {"kappa": f"{name}_class_kappa", "doubt": f"{name}_doubt"}
+    classes = {"kappa": f"{name}_class_kappa"}
     classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
     return (
         Kernel(
@@ -303,7 +289,6 @@ def _fields(name: Variable) -> tuple[Field, ...]:
         Field(f"{name}_kappa", ""),
         Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
-        Field(f"{name}_doubt", "probability that the observation is uninformative, by the coupling modes"),
     )
 
 
