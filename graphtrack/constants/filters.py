@@ -29,12 +29,17 @@ from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
 
-def motion_evidence(tracks: Sequence[Track], parameters: Parameters, densities: FloatArray) -> FloatArray:
-    """Return the log evidence (m, q) of spectral densities of white-noise acceleration, m²/s³."""
+def motion_evidence(
+    tracks: Sequence[Track], parameters: Parameters, densities: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the log evidence (m, q) of spectral densities of white-noise acceleration, m²/s³.
+
+    And the gross errors (m, q) among the positions that each expects.
+    """
     likelihood = parameters.likelihood
     variance = [likelihood.position_stds(track.position_std, len(track)) ** 2 for track in tracks]
     position = np.concatenate([track.position - _origin(track) for track in tracks])
-    found = np.zeros((len(tracks), len(densities)))
+    found = np.zeros((2, len(tracks), len(densities)))
     filter_positions(
         *_times(tracks),
         position,
@@ -44,7 +49,7 @@ def motion_evidence(tracks: Sequence[Track], parameters: Parameters, densities: 
         np.zeros(ROW_OF_PATH),
         found,
     )
-    return found
+    return found[0], found[1]
 
 
 def turning_evidence(
@@ -56,7 +61,8 @@ def turning_evidence(
     found = np.zeros((len(tracks), len(diffusions)))
     if kappa.any():
         outliers = float(parameters.likelihood.outlier_probability)
-        filter_angles(*_times(tracks), np.nan_to_num(angle), kappa, outliers, diffusions, found)
+        state = np.zeros((len(diffusions), 2))
+        filter_angles(*_times(tracks), np.nan_to_num(angle), kappa, outliers, diffusions, state, found)
     return found
 
 
@@ -91,9 +97,13 @@ def _times(tracks: Sequence[Track]) -> tuple[NDArray[np.int64], FloatArray]:
     return offsets.astype(np.int64), np.concatenate([track.dt for track in tracks])
 
 
-ROW_OF_PATH, ROW_OF_ANGLE, ROW_OF_COUPLING = 8, 3, 5
-"""Numbers of a filter: x, y, vx, vy, variances of position, of both and of velocity, and the log evidence; a
-vector and the log evidence; the vectors of body and head and the log evidence."""
+ROW_OF_PATH, ROW_OF_ANGLE, ROW_OF_COUPLING = 9, 3, 5
+"""Numbers of a filter: x, y, vx, vy, variances of position, of both and of velocity, the log evidence, and
+the expected gross errors; a vector and the evidence; the vectors of body and head and the evidence."""
+
+OUTLIERS, ASTRAY = 0.01, 100.0
+"""Share of positions that may be gross errors, and their variance in m² on each axis. At σ = 0.1 m a position
+is as likely one as not at five standard deviations."""
 
 
 @inner
@@ -108,9 +118,17 @@ def predict_path(row: Any, dt: float, density: float) -> None:
 
 @inner
 def observe_path(row: Any, x: float, y: float, variance: float) -> None:
-    """Take a position into a filter, in place."""
-    spread, dx, dy = row[4] + variance, x - row[0], y - row[1]
-    row[7] -= 0.5 * (dx * dx + dy * dy) / spread + math.log(2.0 * math.pi * spread)
+    """Take a position into a filter, in place, by the probability that it is no gross error."""
+    dx, dy, spread, wide = x - row[0], y - row[1], row[4] + variance, row[4] + variance + ASTRAY
+    square = dx * dx + dy * dy
+    inlier = math.log(1.0 - OUTLIERS) - 0.5 * square / spread - math.log(2.0 * math.pi * spread)
+    outlier = math.log(OUTLIERS) - 0.5 * square / wide - math.log(2.0 * math.pi * wide)
+    top = max(inlier, outlier)
+    total = math.exp(inlier - top) + math.exp(outlier - top)
+    share = math.exp(inlier - top) / total
+    row[7] += top + math.log(total)
+    row[8] += 1.0 - share
+    spread = row[4] + variance / max(share, 1e-12)
     gain_p, gain_v = row[4] / spread, row[5] / spread
     row[0] += gain_p * dx
     row[1] += gain_p * dy
@@ -129,16 +147,22 @@ def diffused(x: float, y: float, variance: float) -> tuple[float, float]:
 
 
 @inner
+def von_mises_of(angle: float, kappa: float) -> tuple[float, float, float]:
+    """Return the vector of an observed angle, and the log of its density at the mean, relative to uniform."""
+    return kappa * math.cos(angle), kappa * math.sin(angle), -log_i0e(kappa) - kappa
+
+
+@inner
 def observed_angle(
-    x: float, y: float, angle: float, kappa: float, outliers: float
+    x: float, y: float, given: tuple[float, float, float], outliers: float
 ) -> tuple[float, float, float]:
-    """Return the vector of a von Mises density after an observation, and the observation's log density."""
+    """Return the vector of a von Mises density after an observation (`von_mises_of`), and its log density."""
     size = math.sqrt(x * x + y * y)
-    ox, oy = kappa * math.cos(angle), kappa * math.sin(angle)
     if size <= 0.0:
-        return ox, oy, 0.0
+        return given[0], given[1], 0.0
+    ox, oy, peak = given
     both = math.sqrt((x + ox) * (x + ox) + (y + oy) * (y + oy))
-    density = log_i0e(both) + both - log_i0e(size) - size - log_i0e(kappa) - kappa
+    density = log_i0e(both) + both - log_i0e(size) - size + peak
     if outliers > 0.0:
         inlier = (1.0 - outliers) * math.exp(density)
         density = math.log(inlier + outliers)
@@ -158,7 +182,7 @@ def filter_positions(
     row: FloatArray,
     found: FloatArray,
 ) -> None:
-    """Write the log density of the positions (N, 2) of each track into ``found`` (m, q).
+    """Write the log density of the positions (N, 2) of each track into ``found`` (2, m, q), and gross errors.
 
     ``variance`` (N,) of a position on each axis, ``speed_variance`` of the first velocity; ``row`` is memory
     """
@@ -176,7 +200,7 @@ def filter_positions(
                     observe_path(row, x, y, variance[k])
                 else:
                     row[0], row[1], row[4], row[6], begun = x, y, variance[k], speed_variance, True
-            found[track, candidate] = row[7]
+            found[0, track, candidate], found[1, track, candidate] = row[7], row[8]
 
 
 @compiled
@@ -187,22 +211,25 @@ def filter_angles(
     kappa: FloatArray,
     outliers: float,
     diffusions: FloatArray,
+    state: FloatArray,
     found: FloatArray,
 ) -> None:
     """Write the log density of the angles (N,) of each track into ``found`` (m, d).
 
     The state is a von Mises density, in its natural parameters: a vector whose length is the concentration.
-    ``kappa`` (N,) of the observations, 0 without; a share of ``outliers`` is uniform.
+    ``kappa`` (N,) of the observations, 0 without; a share of ``outliers`` is uniform; ``state`` (d, 2) is
+    memory
     """
     for track in range(len(offsets) - 1):
-        for candidate in range(len(diffusions)):
-            total, x, y = 0.0, 0.0, 0.0
-            for k in range(offsets[track], offsets[track + 1]):
-                x, y = diffused(x, y, diffusions[candidate] * dt[k])
+        state[:], found[track] = 0.0, 0.0
+        for k in range(offsets[track], offsets[track + 1]):
+            one = von_mises_of(angle[k], kappa[k])
+            for candidate in range(len(diffusions)):
+                x, y = diffused(state[candidate, 0], state[candidate, 1], diffusions[candidate] * dt[k])
                 if kappa[k] > 0.0:
-                    x, y, density = observed_angle(x, y, angle[k], kappa[k], outliers)
-                    total += density
-            found[track, candidate] = total
+                    x, y, density = observed_angle(x, y, one, outliers)
+                    found[track, candidate] += density
+                state[candidate, 0], state[candidate, 1] = x, y
 
 
 class Rules(NamedTuple):
@@ -300,13 +327,12 @@ def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, 
         spread += memory[k] * filters.path[k, 6]
     found[0] = mean_of(rules.densities, memory[:q])
     for n, (bank, prior) in enumerate(((filters.body, rules.body), (filters.head, rules.head))):
-        angle, kappa = angles[2 * n], angles[2 * n + 1]
+        kappa = angles[2 * n + 1]
+        one = von_mises_of(angles[2 * n], kappa)
         for k in range(d):
             bank[k, 0], bank[k, 1] = diffused(bank[k, 0], bank[k, 1], rules.diffusions[k] * dt)
             if kappa > 0.0:
-                bank[k, 0], bank[k, 1], density = observed_angle(
-                    bank[k, 0], bank[k, 1], angle, kappa, rules.outliers
-                )
+                bank[k, 0], bank[k, 1], density = observed_angle(bank[k, 0], bank[k, 1], one, rules.outliers)
                 bank[k, 2] += density
         set_posterior(bank, 2, prior, memory[:d])
         found[1 + n] = mean_of(rules.diffusions, memory[:d])
@@ -315,6 +341,7 @@ def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, 
     weight = 1.0
     if 0.0 < dt < rules.correlation_time:
         weight = dt / rules.correlation_time
+    body, head = von_mises_of(angles[0], angles[1]), von_mises_of(angles[2], angles[3])
     for k in range(len(rules.couplings)):
         own = filters.coupled[k]
         bx, by = diffused(own[0], own[1], found[1] * dt)
@@ -324,7 +351,7 @@ def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, 
             follows = 1.0 / (1.0 / follows + spread / (speed * speed))
             bx, by = bx + follows * vx / speed, by + follows * vy / speed
         if angles[1] > 0.0:
-            bx, by, density = observed_angle(bx, by, angles[0], angles[1], rules.outliers)
+            bx, by, density = observed_angle(bx, by, body, rules.outliers)
             own[4] += density
         hx, hy = diffused(own[2], own[3], found[2] * dt)
         follows, size = weight * rules.couplings[k, 1], math.sqrt(bx * bx + by * by)
@@ -332,7 +359,7 @@ def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, 
             follows = 1.0 / (1.0 / follows + 1.0 / size)
             hx, hy = hx + follows * bx / size, hy + follows * by / size
         if angles[3] > 0.0:
-            hx, hy, density = observed_angle(hx, hy, angles[2], angles[3], rules.outliers)
+            hx, hy, density = observed_angle(hx, hy, head, rules.outliers)
             own[4] += density
         own[0], own[1], own[2], own[3] = bx, by, hx, hy
     set_posterior(filters.coupled, 4, rules.coupling, shares)

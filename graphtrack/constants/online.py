@@ -27,6 +27,7 @@ from graphtrack.constants.personal import (
     mixture,
     places_of,
     population_of,
+    with_robust_loss,
 )
 from graphtrack.constants.population import (
     DENSITIES,
@@ -52,7 +53,7 @@ from graphtrack.inference.state import Estimate, Status
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import OwnParameters
-from graphtrack.model.parameters import Parameters, steady
+from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import SAME_TIME
 from graphtrack.saved import DAMAGES, damaged, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
@@ -243,8 +244,8 @@ class OnlineSmoother:
         if learns:
             prior = population_of("learn" if constants is None else constants) or prior
             make_ready("the learned constants", ONLINE_REHEARSAL)
-            # The learned constants are all of the model: nothing inflates its covariances.
-            chosen = chosen.with_parameters(steady(chosen.parameters))
+            # Whether the positions have gross errors is not known beforehand.
+            chosen = with_robust_loss(chosen)
         self._options: dict[str, Any] = {
             "engine": engine,
             "lag": lag,
@@ -257,9 +258,12 @@ class OnlineSmoother:
         self.learner = Learner(chosen, prior) if learns else None
         first = OnlineSolver(chosen, **self._options)
         self._given: dict[str, Any] = {"model": model, "constants": constants, **self._options}
-        self.model, self.engine, self.lag, self.camera = first.model, first.engine, first.lag, first.camera
-        if learns and walkable is None:
-            self.model = Model.named(model)
+        self.model, self.engine, self.lag, self.camera = (
+            Model.named(model),
+            first.engine,
+            first.lag,
+            first.camera,
+        )
         # Number of an alternative → its solver; without learned constants there is one.
         self._solvers = {0: first}
         if self.learner is not None:

@@ -38,11 +38,18 @@ from graphtrack.kernels.layout import BODY, HEAD, N
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET, default_parameters
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.motion import IntentionalMotion
 from graphtrack.tracks.track import Track, TrackSet
 
-JUDGED = 20_000
-"""Person-frames on which couplings are judged, shared by the people; each has `FEWEST_JUDGED` in any case."""
-FEWEST_JUDGED = 25
+LEARNED, FEWEST_LEARNED = 100_000, 100
+"""Person-frames from which motion and turning are learned, shared by the people, and those of each in any
+case: they bound the time."""
+JUDGED, FEWEST_JUDGED = 20_000, 25
+"""The same of couplings, which need a solution each."""
+
+SHOWN, _THRESHOLD = 0.002, 5.0
+"""Share of gross errors among the positions from which their loss is robust, and its threshold in standard
+deviations."""
 
 _NEGLIGIBLE = 0.01
 """Probability of a coupling below which it is left out of a person's estimate."""
@@ -53,9 +60,9 @@ _UNDETERMINED = 0.9 * UNIFORM_STD**2
 
 Progress = Callable[[int], None]
 
-Solve = Callable[[TrackSet, Mapping[str, FloatArray], Progress | None], list[Solution | Failure]]
-"""Smooth tracks, with parameters of their own by name, as ``group.key``, a value (m,) for each track; the
-progress is called with the numbers of person-frames that are done."""
+Solve = Callable[[TrackSet, Model, Mapping[str, FloatArray], Progress | None], list[Solution | Failure]]
+"""Smooth tracks by a model, with parameters of their own by name, as ``group.key``, a value (m,) for each
+track; the progress is called with the numbers of person-frames that are done."""
 
 
 Constants = str | Path | Population
@@ -99,6 +106,8 @@ def is_learned(constants: Constants | None, model: Model) -> bool:
     InputError
         If they are to be learned for a model where they cannot be.
     """
+    if constants is None and not is_learnable(model):
+        return False
     if constants is None:
         own, usual = model.parameters, default_parameters(BEST_PRESET)
         return model.preset == BEST_PRESET and all(
@@ -133,14 +142,17 @@ def solve_learned(
     if not len(tracks):
         return [], Population() if population is None else population
     make_ready("the learned constants", REHEARSAL)
-    motion, shares = _motion(tracks.tracks, model, population)
+    learned_from = _middles(tracks, LEARNED, FEWEST_LEARNED)
+    motion, shares = _motion(learned_from.tracks, model, population)
+    if shares.gross_errors > SHOWN:
+        model = with_robust_loss(model)
     alternatives = alternatives_of(model)
     if len(alternatives) == 1:
-        found_alone = solve(tracks, motion, progress)
+        found_alone = solve(tracks, model, motion, progress)
         return _with_constants(found_alone, motion, alternatives, np.ones((len(tracks), 1))), shares
-    judged = _judged(tracks)
+    judged = _middles(tracks, JUDGED, FEWEST_JUDGED)
     found: list[Sequence[Solution | Failure | None]] = [
-        solve(judged, motion | _strengths(one, model, len(tracks)), None) for one in alternatives
+        solve(judged, model, motion | _strengths(one, model, len(tracks)), None) for one in alternatives
     ]
     failed = np.array([any(isinstance(one[m], Failure) for one in found) for m in range(len(tracks))])
     kept = np.flatnonzero(~failed).tolist()
@@ -164,19 +176,37 @@ def solve_learned(
         lengths = np.array([len(track) for track in tracks])
         shared = _Shared(progress, tracks.n_frames, int((weights > 0.0).sum(axis=1) @ lengths))
         found = [
-            _some(tracks, weights[:, k] > 0.0, motion | _strengths(one, model, len(tracks)), solve, shared)
+            _some(
+                tracks,
+                weights[:, k] > 0.0,
+                motion | _strengths(one, model, len(tracks)),
+                lambda some, own: solve(some, model, own, shared),
+            )
             for k, one in enumerate(alternatives)
         ]
     answers = [_of_one([part[m] for part in found], weights[m]) for m in range(len(tracks))]
     return _with_constants(answers, motion, alternatives, weights), shares
 
 
+def with_robust_loss(model: Model) -> Model:
+    """Return the model with a Cauchy loss of positions, unless it has a robust loss."""
+    if model.parameters.likelihood.robust != "none":
+        return model
+    likelihood = replace(model.parameters.likelihood, robust="cauchy", robust_threshold=_THRESHOLD)
+    return model.with_parameters(replace(model.parameters, likelihood=likelihood))
+
+
+def is_learnable(model: Model) -> bool:
+    """Return whether constants can be learned: not with intentional motion."""
+    return not model.has_term(IntentionalMotion)
+
+
 def check_learnable(model: Model) -> None:
-    """Raise InputError for a model whose constants cannot be learned: only the plain chain's can."""
-    if model.has_modes or model.parameters.likelihood.robust != "none":
+    """Raise InputError for a model whose constants cannot be learned."""
+    if not is_learnable(model):
         raise InputError(
             f"learned constants with the model {model.preset!r}",
-            "joint, or another model without coupling modes and robust loss; or constants default",
+            "joint, or another model without intentional motion; or constants default",
         )
 
 
@@ -188,7 +218,7 @@ def _motion(
     # Parts of about equal work; each person's evidence does not depend on them.
     parts = [tracks[k :: processors()] for k in range(min(processors(), len(tracks)))]
     evidence = {
-        "acceleration_density": lambda some: motion_evidence(some, parameters, DENSITIES),
+        "acceleration_density": lambda some: np.stack(motion_evidence(some, parameters, DENSITIES)),
         "body_diffusion": lambda some: turning_evidence(some, "body", parameters, DIFFUSIONS),
         "head_diffusion": lambda some: turning_evidence(some, "head", parameters, DIFFUSIONS),
     }
@@ -199,10 +229,17 @@ def _motion(
     # Tracks without a position cannot be smoothed, and say nothing of the others.
     placed = [bool(np.isfinite(track.position).any()) for track in tracks]
     for name, some in jobs.items():
-        own = np.zeros((len(tracks), len(DENSITIES)))
-        for k, job in enumerate(some):
-            own[k :: len(parts)] = job.result()
-        grid = DENSITIES if name == "acceleration_density" else DIFFUSIONS
+        results = [job.result() for job in some]
+        own = np.zeros((*results[0].shape[:-2], len(tracks), len(DENSITIES)))
+        for k, result in enumerate(results):
+            own[..., k :: len(parts), :] = result
+        grid = DIFFUSIONS
+        if name == "acceleration_density":
+            (own, errors), grid = own, DENSITIES
+            if population is None:
+                positions = sum(int(np.isfinite(track.position[:, 0]).sum()) for track in tracks)
+                expected = errors[np.arange(len(own)), own.argmax(axis=1)].sum()
+                shares["gross_errors"] = float(expected) / max(positions, 1)
         prior = np.array(getattr(start, name))
         if population is None:
             prior = learned(own[placed], getattr(start, name), start.people, grid)
@@ -237,9 +274,9 @@ def _effects(model: Model) -> list[tuple[float, float]]:
     return [(one.motion_body * has_path, one.head_body * has_neck) for one in COUPLINGS]
 
 
-def _judged(tracks: TrackSet) -> TrackSet:
-    """Return the tracks, each cut to its share of `JUDGED` in the middle; as they are if all fit."""
-    most = max(FEWEST_JUDGED, JUDGED // len(tracks))
+def _middles(tracks: TrackSet, all_frames: int, fewest: int) -> TrackSet:
+    """Return the tracks, each cut to its share of all frames in the middle; as they are if all fit."""
+    most = max(fewest, all_frames // len(tracks))
     if all(len(track) <= most for track in tracks):
         return tracks
 
@@ -272,14 +309,13 @@ def _some(
     tracks: TrackSet,
     chosen: NDArray[np.bool_],
     own: Mapping[str, FloatArray],
-    solve: Solve,
-    progress: Progress,
+    solve: Callable[[TrackSet, Mapping[str, FloatArray]], list[Solution | Failure]],
 ) -> list[Solution | Failure | None]:
     """Smooth the chosen tracks; None for the others."""
     found: list[Solution | Failure | None] = [None] * len(tracks)
     places = np.flatnonzero(chosen).tolist()
     some = tracks.with_tracks(tracks.tracks[m] for m in places)
-    solved = solve(some, {name: values[places] for name, values in own.items()}, progress)
+    solved = solve(some, {name: values[places] for name, values in own.items()})
     for m, one in zip(places, solved, strict=True):
         found[m] = one
     return found

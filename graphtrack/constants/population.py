@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,6 +63,7 @@ class Evidence(NamedTuple):
 
 
 _SHARES = Evidence._fields
+_NUMBERS = ("people", "gross_errors")
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class Population:
     body_diffusion, head_diffusion : of `DIFFUSIONS`
     coupling : of `COUPLINGS`
     people : people that the shares count for, when those of a recording are learned
+    gross_errors : share of positions that are gross errors
     """
 
     acceleration_density: tuple[float, ...] = log_normal(DENSITIES, 0.3, 1.5)
@@ -82,11 +84,12 @@ class Population:
     head_diffusion: tuple[float, ...] = log_normal(DIFFUSIONS, math.radians(30.0) ** 2, 1.5)
     coupling: tuple[float, ...] = (0.1, 0.1, 0.1, 0.7)
     people: float = 2.0
+    gross_errors: float = 0.0
 
     def __post_init__(self) -> None:
         sizes = {"acceleration_density": len(DENSITIES), "coupling": len(COUPLINGS)}
         for name, shares in asdict(self).items():
-            if name == "people":
+            if name in _NUMBERS:
                 continue
             size = sizes.get(name, len(DIFFUSIONS))
             numbers = [one for one in shares if isinstance(one, float) and 0.0 < one <= 1.0]
@@ -96,8 +99,10 @@ class Population:
                 or not math.isclose(sum(numbers), 1.0, abs_tol=1e-6)
             ):
                 raise InputError(f"{name} = {shares!r}"[:80], f"{size} positive shares with the sum 1")
-        if not (isinstance(self.people, float) and 0.0 <= self.people < math.inf):
-            raise InputError(f"people = {self.people!r}", "a number that is not negative")
+        for name in _NUMBERS:
+            number = getattr(self, name)
+            if not (isinstance(number, float) and 0.0 <= number < math.inf):
+                raise InputError(f"{name} = {number!r}", "a number that is not negative")
 
     def coupling_of(self, alternatives: Sequence[CouplingAlternative]) -> FloatArray:
         """Return the probabilities (k,) of some couplings, given that it is one of them."""
@@ -112,7 +117,7 @@ class Population:
         return replace(self, coupling=tuple((found / found.sum()).tolist()))
 
     def with_people(self, evidence: Sequence[Evidence], prior: Population) -> Population:
-        """Return the population with more people; each counts as far as the posterior is not the prior.
+        """Return the population with more people; each counts as far as a posterior is not the prior.
 
         Parameters
         ----------
@@ -121,18 +126,28 @@ class Population:
         """
         if not evidence:
             return self
+        own = {
+            name: posterior(
+                np.array([getattr(one, name) for one in evidence]), np.array(getattr(prior, name))
+            )
+            for name in _SHARES
+        }
+        # A person counts alike for all constants, so that the order of people does not matter.
+        apart = [np.abs(found - getattr(prior, name)).sum(axis=1) for name, found in own.items()]
+        weight = 0.5 * np.max(apart, axis=0)
         shares: dict[str, tuple[float, ...]] = {}
-        most = 0.0
-        for name in _SHARES:
+        for name, found in own.items():
             grid = None if name == "coupling" else DENSITIES if name == "acceleration_density" else DIFFUSIONS
-            before, known = np.array(getattr(self, name)), np.array(getattr(prior, name))
-            own = posterior(np.array([getattr(one, name) for one in evidence]), known)
-            weight = 0.5 * np.abs(own - known).sum(axis=1)
-            added = weight @ (own if grid is None else own @ blur_of(grid))
-            mean = self.people * before + added
+            added = weight @ (found if grid is None else found @ blur_of(grid))
+            mean = self.people * np.array(getattr(self, name)) + added
             shares[name] = tuple((mean / mean.sum()).tolist())
-            most = max(most, float(weight.sum()))
-        return replace(self, people=self.people + most, **shares)
+        grown = replace(self, people=self.people + float(weight.sum()))
+        return grown.with_shares(shares)
+
+    def with_shares(self, shares: Mapping[str, tuple[float, ...]]) -> Population:
+        """Return the population with other shares of the values of some constants."""
+        changed: dict[str, Any] = dict(shares)
+        return replace(self, **changed)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of a file."""
@@ -159,7 +174,7 @@ class Population:
         for name, value in content.items():
             if name not in known:
                 raise InputError(f"the unknown key {name!r}", f"one of {', '.join(sorted(known))}")
-            if name != "people" and not isinstance(value, list):
+            if name not in _NUMBERS and not isinstance(value, list):
                 raise InputError(f"{name} = {value!r}"[:80], "a list of shares")
         values: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in content.items()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.constants.filters import observed_direction
+from graphtrack.constants.filters import ASTRAY, OUTLIERS, observed_direction
 from graphtrack.geometry.angles import FloatArray, direction, log_blurred, unit, with_outliers
 from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.model.parameters import Parameters
@@ -70,13 +70,20 @@ def leave_one_out(observed: Observed, estimates: Sequence[Track], outliers: floa
 
 
 def _of_positions(observed: Observed, estimate: FloatArray, covariance: FloatArray) -> FloatArray:
-    noise, error, total = observed.noise, observed.position - estimate, np.zeros(len(observed.noise))
+    noise, error = observed.noise, observed.position - estimate
+    inlier, outlier = np.zeros(len(noise)), np.zeros(len(noise))
     for axis in range(2):
         left = np.maximum(noise - covariance[:, axis, axis], _LEAST * noise)
         spread = noise * noise / left
-        squares = (error[:, axis] * noise / left) ** 2 / spread
-        total -= 0.5 * (squares + np.log(2.0 * math.pi * spread))
-    return np.where(np.isfinite(error).all(axis=1), total, 0.0)
+        square = (error[:, axis] * noise / left) ** 2
+        inlier -= 0.5 * (square / spread + np.log(2.0 * math.pi * spread))
+        wide = spread + ASTRAY
+        outlier -= 0.5 * (square / wide + np.log(2.0 * math.pi * wide))
+    # A gross error says nothing about an alternative, nor does a missing position.
+    known = np.isfinite(inlier)
+    total = np.zeros(len(noise))
+    total[known] = np.logaddexp(math.log(1.0 - OUTLIERS) + inlier[known], math.log(OUTLIERS) + outlier[known])
+    return total
 
 
 def _of_angles(
