@@ -244,9 +244,11 @@ def smooth(
         emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.html import write_html
-        from graphtrack.report.page import tracking_report
+        from graphtrack.report.page import constants_section, tracking_report
 
-        write_html(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
+        learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
+        sections = constants_section(learned)
+        write_html(report, tracking_report(estimates, tracks, title="Smoothed tracks", sections=sections))
         emit(f"report: {report}")
     if good:
         emit(f"wrote {output}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,7 @@ from graphtrack.tracks.track import ReadSummary, Track, TrackSet
 if TYPE_CHECKING:
     from graphtrack.evaluation.identity_events import IdentityEvent
     from graphtrack.forecasting.recorded import Forecasts
+    from graphtrack.inference.engines import PersonalConstants
     from graphtrack.interaction.attention import Attention
     from graphtrack.interaction.groups import Groups
     from graphtrack.interaction.people import Place
@@ -124,6 +126,26 @@ def tracking_report(
         replay=replay,
         sections=(*parts, *sections),
     )
+
+
+def constants_section(constants: Mapping[int, PersonalConstants]) -> tuple[Section, ...]:
+    """Return the section on each person's learned constants, by track id; none without any."""
+    if not constants:
+        return ()
+    rows = []
+    for track_id, one in constants.items():
+        likely = max(one.coupling, key=lambda name: one.coupling[name])
+        turns = [math.degrees(math.sqrt(d)) for d in (one.body_diffusion, one.head_diffusion)]
+        rows.append((track_id, one.acceleration_density, *turns, likely, 100.0 * one.coupling[likely]))
+    table = DataTable(
+        "Constants of each person",
+        ("person", "q (m²/s³)", "body turns (°/√s)", "head turns (°/√s)", "orientations", "probability (%)"),
+        tuple(rows),
+        "Learned from the recording: the density of white-noise acceleration, by how much body and head turn "
+        "in a second, and the likeliest way in which they follow the path.",
+        "person",
+    )
+    return (Section("Learned constants", (table,)),)
 
 
 def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
