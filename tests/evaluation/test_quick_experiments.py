@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import innovation_filter
 import numpy as np
 import pytest
 
@@ -28,8 +30,9 @@ from graphtrack.experiments.chen_joint import (
     pair_rows,
     parameter_table,
 )
+from graphtrack.experiments.chosen_filter import chosen_filter
 from graphtrack.experiments.harness import ISAM2
-from graphtrack.geometry.angles import class_centres, difference
+from graphtrack.geometry.angles import class_centres, difference, wrap
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
@@ -61,30 +64,48 @@ def test_baxter_weight_fits_each_dependence_of_the_weight(monkeypatch: pytest.Mo
         assert row[f"{weight} − constant (nats)"] == pytest.approx(gain)
 
 
-def test_unseen_people_fits_without_each_source(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_of_every_source_are_judged_by_every_model(monkeypatch: pytest.MonkeyPatch) -> None:
     def people(seed: int):  # type: ignore[no-untyped-def]
-        return lambda settings, stream: {
-            "10 Hz": strollers(np.random.default_rng([seed, stream]), people=2, seconds=6.0)
-        }
+        return lambda settings: strollers(np.random.default_rng(seed), people=2, seconds=6.0)
 
     sources = {name: people(k) for k, name in enumerate(("one", "other"))}
-    free = unseen_people.FREE[:2]
-    monkeypatch.setattr(unseen_people, "SOURCES", sources)
-    monkeypatch.setattr(unseen_people, "FREE", free)
-    monkeypatch.setattr(unseen_people, "FITTED", tuple(one.name for one in free))
+    monkeypatch.setattr(unseen_people, "SOURCES", {**sources, "absent": lambda settings: None})
     done: list[int] = []
-    errors, summary, constants = unseen_people.EXPERIMENT.run(SETTINGS, done.append).tables
-    models = (*unseen_people.PRESETS, "full, fitted without it")
-    assert [(row["source"], row["model"]) for row in errors.records()] == [
-        (source, model) for source in ("one", "other") for model in models
-    ]
-    assert all(0.0 < row["position (m)"] < 0.5 and row["body (°)"] < 90.0 for row in errors.records())
-    assert len(summary.rows) == len(models) * len(sources)
-    assert any(row["median"] != row["default"] for row in constants.records())
-    for row in constants.records():
-        assert row["least"] <= row["median"] <= row["greatest"]
-        assert 0.2 * row["default"] < row["least"] and row["greatest"] < 5.0 * row["default"]
-    assert len(done) >= len(sources) * 2
+    summary, errors = unseen_people.EXPERIMENT.run(SETTINGS, done.append).tables
+    rows = errors.records()
+    settings = {(row["source"], row["rate (Hz)"], row["inputs"], row["way"]) for row in rows}
+    assert len(settings) == 2 * 2 * 3 * 2 and len(rows) == 3 * len(settings)
+    for row in rows:
+        own = [row[f"{model} (m or °)"] for model in unseen_people.MODELS]
+        assert all(0.0 < one < 180.0 for one in own if one is not None and np.isfinite(one))
+        assert row["over the filter"] == pytest.approx(own[0] / own[1])
+        assert row["over the best preset"] == pytest.approx(own[0] / np.nanmin(own[2:]))
+    for row in summary.records():
+        ratios = [one["over the filter"] for one in rows if one["way"] == row["way"]]
+        assert row["over the filter, geometric mean"] == pytest.approx(np.exp(np.mean(np.log(ratios))))
+    assert sum(done) == len(settings) / 2
+
+
+def test_the_filter_that_chooses_is_the_reference() -> None:
+    people = unseen_people.observed(
+        strollers(np.random.default_rng(3), people=3, seconds=12.0), 10.0, "all", np.random.default_rng(4)
+    )
+    for track in people:
+        found, expected = chosen_filter(track, online=False), innovation_filter.estimates(track)
+        assert np.sqrt(np.mean((found.position - expected["position"]) ** 2)) < 0.01
+        for name in ("body", "head"):
+            assert np.degrees(np.abs(wrap(getattr(found, name) - expected[name])).mean()) < 1.5
+
+
+def test_wrong_turns_are_those_that_last() -> None:
+    n = 40
+    truth = Track(0, np.arange(n), 0.1 * np.arange(n), np.zeros((n, 2)), true_body=np.zeros(n))
+    body = np.zeros(n)
+    body[5:8], body[20:30] = 3.0, -2.0
+    count, hours = unseen_people.wrong_turns(TrackSet((truth,)), [replace(truth, body=body)])
+    assert count == 1 and hours == pytest.approx(3.9 / 3600.0)
+    spun = replace(truth, true_body=np.where(np.arange(n) == 24, 1.7, 0.0))
+    assert unseen_people.wrong_turns(TrackSet((spun,)), [replace(spun, body=body)])[0] == 0
 
 
 def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,15 +118,18 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     found = gaits.EXPERIMENT.run(Settings(), steps.append, expected.append)
     assert [sum(steps)] == expected
     errors, differences, rivals = (table.records() for table in found.tables)
-    assert len(errors) == 2 * len(gaits.ESTIMATORS) * len(gaits.PRESETS)
+    assert len(errors) == 2 * (len(gaits.ESTIMATORS) * len(gaits.PRESETS) + len(gaits.LEARNING))
     rows = {(row["people"], row[""], row["model"]): row for row in errors}
     for (who, way, preset), row in rows.items():
         count = 2 if who == gaits.SIDEWAYS or way != "offline" else 4
         assert (row["clips"], row["draws"]) == (count, 1 if way.endswith("isam2") else 2)
         assert 0.0 < row["body (°)"] < 90.0 and 0.0 < row["position (m)"] < 0.5, preset
     for row in differences:
-        full, other = (rows[row["people"], row[""], model] for model in ("full", row["full less"]))
-        assert row["head (°)"] == pytest.approx(full["head (°)"] - other["head (°)"])
+        learned, other = (rows[row["people"], row[""], m] for m in (gaits.LEARNED, row["learned less"]))
+        assert row["head (°)"] == pytest.approx(learned["head (°)"] - other["head (°)"])
+    for way in gaits.LEARNING:
+        learned, constant = (rows[gaits.ORDINARY, way, model] for model in (gaits.LEARNED, "joint"))
+        assert learned["body (°)"] != constant["body (°)"]
     for row in rivals:
         graph, particles = (rows[row["people"], way, row["model"]] for way in (gaits.CHAIN, gaits.PARTICLES))
         assert row["body (°)"] == pytest.approx(graph["body (°)"] - particles["body (°)"])
