@@ -145,20 +145,13 @@ def solve_tracks(
             partial(plain, model=model.with_terms(StaysInside)),
             walkable,
         )
-    if is_learned(constants, model):
-        found, _ = _with_learned(
-            tracks, model, engine, constants, progress, jobs=jobs, options=options, n_frames=n_frames
-        )
-        return found
-    each = partial(
-        solve_each,
-        model=model,
-        engine=engine,
-        jobs=jobs,
-        options=options,
-        progress=progress,
-        n_frames=n_frames,
-    )
+    given: dict[str, Any] = {"jobs": jobs, "options": options, "progress": progress, "n_frames": n_frames}
+
+    def each(some: TrackSet) -> list[Solution | Failure]:
+        if is_learned(constants, model):
+            return _with_learned(some, model, engine, constants, **given)[0]
+        return solve_each(some, model, engine, **given)
+
     if not (model.has_groups and lacks_groups(tracks)):
         return each(tracks)
     return solve_in_turn(tracks, each, model.parameters.social.correlation_time)

@@ -273,3 +273,9 @@ def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir:
                 moves = np.linalg.norm(velocity, axis=1) > 0.5
                 found.extend(np.abs(wrap(estimate.body - direction(velocity)))[moves])
     assert np.mean(off["social"]) < 1.02 * np.mean(off["joint"])
+
+
+def test_groups_are_found_with_learned_constants_too() -> None:
+    made, seen = positions()
+    plain, social = (errors(gt.smooth(seen, model, constants="learn"), made) for model in ("joint", "social"))
+    assert social["body"] < 0.7 * plain["body"] and social["head"] < 0.85 * plain["head"]
