@@ -193,7 +193,7 @@ def _with_learned(
     progress: Progress | None = None,
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
-    known = None if constants is None else population_of(constants)
+    known = population_of(constants)
 
     def smoothed(
         some: TrackSet, model: Model, own: Mapping[str, FloatArray], done: Progress | None
@@ -396,13 +396,12 @@ def _side_by_side(scene: TrackSet, model: Model, options: OnlineOptions, progres
     found: list[list[Estimate]] = [[] for _ in tracks]
     answers: dict[int, Track] = {}
     for t, places in _in_time(tracks):
-        if commons is not None and commons.is_due(t):
+        if commons.is_due(t):
             commons.refresh(t, {place: one.learner for place, one in people.items()})
         for place in places:
             if place not in people:
                 people[place] = OnlineSmoother(model, **options)
-            if commons is not None:
-                commons.inform(people[place].learner)
+            commons.inform(people[place].learner)
         # Groups are estimated person by person.
         parts = [places] if conversations is None else [[place] for place in places]
         for part in parts:
@@ -422,9 +421,7 @@ def _side_by_side(scene: TrackSet, model: Model, options: OnlineOptions, progres
             if len(found[place]) == len(tracks[place]):
                 answers[place] = as_track(tracks[place], found[place], model)
                 found[place] = []
-                gone = people.pop(place)
-                if commons is not None:
-                    commons.leave(gone.learner)
+                commons.leave(people.pop(place).learner)
         progress(len(places))
     return scene.with_tracks(answers[place] for place in range(len(tracks)))
 

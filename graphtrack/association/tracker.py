@@ -254,8 +254,8 @@ class DetectionTracker(Saved):
             for track_id, person in self._people.items()
         ]
         observations = [[*key, pack_observation(one)] for key, one in self._observations.items()]
-        commons = {} if self._commons is None else {"commons": self._commons.state()}
-        return {"association": self._association.state(), "people": people, "seen": observations} | commons
+        found = {"association": self._association.state(), "people": people, "seen": observations}
+        return found | self._commons.state()
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`."""
@@ -263,8 +263,7 @@ class DetectionTracker(Saved):
         self._observations = {
             (integer(k), integer(place)): unpack_observation(one) for k, place, one in state["seen"]
         }
-        if self._commons is not None:
-            self._commons.restore(state["commons"])
+        self._commons.restore(state)
         for saved in state["people"]:
             smoother = OnlineSmoother.from_state(saved["smoother"], self.model, **self._options)
             keys = [(integer(k), integer(place)) for k, place in saved["keys"]]
@@ -307,13 +306,12 @@ class DetectionTracker(Saved):
             if track_id > 0:
                 self._people[track_id] = _Person(self._smoother())
         hiding, living = set(hidden), self._association.remembered()
-        if self._commons is not None:
-            t = self._observations[number, UNSEEN].t
-            if self._commons.is_due(t):
-                present = {track_id: one.smoother.learner for track_id, one in self._people.items()}
-                self._commons.refresh(t, present)
-            for one in self._people.values():
-                self._commons.inform(one.smoother.learner)
+        t = self._observations[number, UNSEEN].t
+        if self._commons.is_due(t):
+            present = {track_id: one.smoother.learner for track_id, one in self._people.items()}
+            self._commons.refresh(t, present)
+        for one in self._people.values():
+            self._commons.inform(one.smoother.learner)
         ahead: list[tuple[_Person, list[Key]]] = []  # with one new observation, and no other change
         for track_id, person in list(self._people.items()):
             person.forget(settled)
@@ -331,9 +329,7 @@ class DetectionTracker(Saved):
             else:
                 keys, is_observed = [*before, *unseen], any(place != UNSEEN for _, place in before)
             if not is_observed and track_id not in living:
-                gone = self._people.pop(track_id)
-                if self._commons is not None:
-                    self._commons.leave(gone.smoother.learner)
+                self._commons.leave(self._people.pop(track_id).smoother.learner)
             elif keys and keys[:-1] == before:
                 ahead.append((person, keys))
             elif keys != before:

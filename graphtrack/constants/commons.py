@@ -13,6 +13,9 @@ from graphtrack.model import Model
 from graphtrack.model.same_time import SAME_TIME
 from graphtrack.saved import real
 
+_KEY = "commons"
+"""Key of the state among those of a scene."""
+
 _PERIOD = 1.0
 """Seconds of the scene between two estimates of what people have in common."""
 
@@ -20,12 +23,11 @@ _MOST_PRESENT = 100
 """Present people, the first by their numbers, whose observations count: bounds the work."""
 
 
-def commons_of(constants: Constants | None, model: Model) -> Commons | None:
-    """Return the learner of a scene's population; None if constants are not learned."""
+def commons_of(constants: Constants | None, model: Model) -> Commons:
+    """Return the learner of a scene's population, which learns nothing if constants are not learned."""
     if not is_learned(constants, model):
-        return None
-    known = None if constants is None else population_of(constants)
-    return Commons(Population() if known is None else known)
+        return Commons(Population(), learns=False)
+    return Commons(population_of(constants) or Population())
 
 
 class Commons:
@@ -36,8 +38,9 @@ class Commons:
     population : the present estimate
     """
 
-    def __init__(self, population: Population) -> None:
-        self.population = self._left = population
+    def __init__(self, population: Population, learns: bool = True) -> None:
+        self.population, self._learns = population, learns
+        self._left = population
         self._next = -math.inf
 
     def inform(self, learner: Learner | None) -> None:
@@ -53,7 +56,7 @@ class Commons:
     def is_due(self, t: float) -> bool:
         """Return whether the estimate is to be renewed at a time, seconds."""
         # A time far before is that of a stream that began again.
-        return t >= self._next - SAME_TIME or t < self._next - 2.0 * _PERIOD
+        return self._learns and not self._next - 2.0 * _PERIOD <= t < self._next - SAME_TIME
 
     def refresh(self, t: float, present: Mapping[int, Learner | None]) -> None:
         """Estimate what people have in common at a time, seconds, from those who left and who are present."""
@@ -63,12 +66,18 @@ class Commons:
         self.population = self._left.with_people(evidence, self.population)
 
     def state(self) -> dict[str, Any]:
-        """The state without the people, as JSON-able data."""
+        """The state without the people, as JSON-able data; nothing if nothing is learned."""
+        if not self._learns:
+            return {}
         waits = self._next if math.isfinite(self._next) else None
-        return {"left": self._left.to_dict(), "population": self.population.to_dict(), "next": waits}
+        found = {"left": self._left.to_dict(), "population": self.population.to_dict(), "next": waits}
+        return {_KEY: found}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over a `state`; an error of `saved.DAMAGES` for other data."""
-        self._left = Population.from_dict(state["left"])
-        self.population = Population.from_dict(state["population"])
-        self._next = -math.inf if state["next"] is None else real(state["next"])
+        """Take over a `state`, among other keys; an error of `saved.DAMAGES` for other data."""
+        if not self._learns:
+            return
+        saved = state[_KEY]
+        self._left = Population.from_dict(saved["left"])
+        self.population = Population.from_dict(saved["population"])
+        self._next = -math.inf if saved["next"] is None else real(saved["next"])

@@ -77,12 +77,21 @@ def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple
     kappa = parameters.likelihood.kappas(name, getattr(track, f"{name}_kappa"), len(track))  # type: ignore[arg-type]
     found = np.full(len(track), np.nan) if angle is None else angle.copy()
     if classes is not None:
-        vectors = vectors_of(None, classes, len(track))
-        known = np.isfinite(vectors).all(axis=1)
-        length = np.linalg.norm(vectors[known], axis=1)
-        blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
-        found[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
+        by_class, sharp = angle_of_classes(classes)
+        known = np.isfinite(by_class)
+        found[known], kappa[known] = by_class[known], sharp[known]
     return found, np.where(np.isfinite(found), kappa, 0.0)
+
+
+def angle_of_classes(classes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k)."""
+    vectors = vectors_of(None, classes, len(classes))
+    known = np.isfinite(vectors).all(axis=1)
+    angle, kappa = np.full(len(classes), np.nan), np.zeros(len(classes))
+    length = np.linalg.norm(vectors[known], axis=1)
+    blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
+    angle[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
+    return angle, kappa
 
 
 def _origin(track: Track) -> FloatArray:

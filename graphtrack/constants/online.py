@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.constants.filters import ONLINE_REHEARSAL, Filters, Rules, observe
+from graphtrack.constants.filters import ONLINE_REHEARSAL, Filters, Rules, angle_of_classes, observe
 from graphtrack.constants.personal import (
     Constants,
     alternatives_of,
@@ -37,14 +37,7 @@ from graphtrack.constants.population import (
     Population,
 )
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import (
-    FloatArray,
-    class_kappa,
-    concentration_from_resultant,
-    mean_resultant_length,
-    vectors_of,
-    wrapped,
-)
+from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike
 from graphtrack.inference.engines import OnlineEngine, PersonalConstants
@@ -177,9 +170,8 @@ def _direction_of(observation: Observation, name: str, parameters: Parameters) -
     """Return the observed angle of "body" or "head" and its concentration; 0 without."""
     classes = getattr(observation, f"{name}_likelihood")
     if classes is not None:
-        ((x, y),) = vectors_of(None, np.array([classes]), 1).tolist()
-        length = math.hypot(x, y) * float(mean_resultant_length(class_kappa(len(classes))))
-        return math.atan2(y, x), float(concentration_from_resultant(length))
+        by_class, sharp = angle_of_classes(np.array([classes]))
+        return by_class.item(), sharp.item()
     angle = getattr(observation, name)
     if angle is None:
         return 0.0, 0.0
@@ -240,9 +232,7 @@ class OnlineSmoother:
     ) -> None:
         chosen = Model.named(model)
         learns = is_learned(constants, chosen)
-        prior = Population()
         if learns:
-            prior = population_of("learn" if constants is None else constants) or prior
             make_ready("the learned constants", ONLINE_REHEARSAL)
             # Whether the positions have gross errors is not known beforehand.
             chosen = with_robust_loss(chosen)
@@ -255,28 +245,21 @@ class OnlineSmoother:
             "step_tolerance": step_tolerance,
             "max_iterations": max_iterations,
         }
+        prior = (population_of(constants) if learns else None) or Population()
         self.learner = Learner(chosen, prior) if learns else None
         first = OnlineSolver(chosen, **self._options)
         self._given: dict[str, Any] = {"model": model, "constants": constants, **self._options}
-        self.model, self.engine, self.lag, self.camera = (
-            Model.named(model),
-            first.engine,
-            first.lag,
-            first.camera,
-        )
+        self.model, self.engine = Model.named(model), first.engine
+        self.lag, self.camera = first.lag, first.camera
+        # With learned constants that of the solvers, whose positions have a robust loss.
+        self._chosen = chosen
+        weights = np.ones(1) if self.learner is None else self.learner.weights
+        some = [int(np.argmax(weights))] if self.engine == "isam2" else range(len(weights))
         # Number of an alternative → its solver; without learned constants there is one.
-        self._solvers = {0: first}
-        if self.learner is not None:
-            self._chosen = chosen
-            likely = int(np.argmax(self.learner.weights))
-            some = [likely] if self.engine == "isam2" else range(len(self.learner.weights))
-            self._solvers = {k: first if n == 0 else self._another() for n, k in enumerate(some)}
+        self._solvers = {k: OnlineSolver(chosen, **self._options) if n else first for n, k in enumerate(some)}
         self._last: Estimate | None = None
         # The learner before the newest observation, in case that no solver can use it.
         self._before: Learner | None = None
-
-    def _another(self) -> OnlineSolver:
-        return OnlineSolver(self._chosen, **self._options)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
@@ -457,7 +440,7 @@ class OnlineSmoother:
             found = "learned constants" if has_learned else "the constants of a model"
             raise InputError(f"a state with {found}", "a state of the same option constants")
         if learner is None:
-            self._solvers = {0: OnlineSolver.from_state(state, self._given["model"], **self._options)}
+            self._solvers = {0: OnlineSolver.from_state(state, self._chosen, **self._options)}
         else:
             try:
                 self.learner = learner = Learner(self._chosen, Population.from_dict(state["population"]))

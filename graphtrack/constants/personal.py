@@ -76,16 +76,16 @@ Known = Population | Literal["learn", "default"] | None
 
 def known_constants(constants: Constants | None) -> Known:
     """Return constants with the population of a file read; errors as `population_of`."""
-    if constants is None or constants == "default":
-        return None if constants is None else "default"
-    return population_of(constants) or "learn"
+    if constants is None:
+        return None
+    return "default" if constants == "default" else population_of(constants) or "learn"
 
 
-def population_of(constants: Constants) -> Population | None:
+def population_of(constants: Constants | None) -> Population | None:
     """Return the known population; None if it is to be learned. InputError for other words, or as `load`."""
     if isinstance(constants, Population):
         return constants
-    if constants == "learn":
+    if constants is None or constants == "learn":
         return None
     if not str(constants).endswith(".toml"):
         raise InputError(
@@ -106,17 +106,14 @@ def is_learned(constants: Constants | None, model: Model) -> bool:
     InputError
         If they are to be learned for a model where they cannot be.
     """
-    if constants is None and not is_learnable(model):
-        return False
-    if constants is None:
-        own, usual = model.parameters, default_parameters(BEST_PRESET)
-        return model.preset == BEST_PRESET and all(
-            getattr(own, group) == getattr(usual, group) for group in _LEARNED
-        )
     if constants == "default":
         return False
-    check_learnable(model)
-    return True
+    if constants is not None:
+        check_learnable(model)
+        return True
+    own, usual = model.parameters, default_parameters(BEST_PRESET)
+    is_usual = all(getattr(own, group) == getattr(usual, group) for group in _LEARNED)
+    return model.preset == BEST_PRESET and is_usual and is_learnable(model)
 
 
 def solve_learned(

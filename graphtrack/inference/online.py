@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -54,7 +53,6 @@ from graphtrack.model.observation import OwnParameters, seconds_between
 from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
-from graphtrack.tracks.display import html_pairs
 from graphtrack.tracks.validation import check_count, is_number
 
 Parts = tuple[Observation, ...]
@@ -173,26 +171,9 @@ class OnlineSolver:
         self._last: Estimate | None = None
         # Index of a step → the observations that are merged in it.
         self._parts: dict[int, Parts] = {}
-        self._again: dict[str, Any] = {
-            "model": chosen,
-            "engine": self.engine,
-            "lag": lag,
-            "camera": camera,
-            "walkable": self._walkable,
-            "relinearize_threshold": relinearize_threshold,
-            "step_tolerance": step_tolerance,
-            "max_iterations": max_iterations,
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle by `state`, with what `from_state` says of engines."""
-        return partial(OnlineSolver.from_state, **self._again), (self.state(),)
 
     def __repr__(self) -> str:
         return f"OnlineSolver({', '.join(f'{name} {value}' for name, value in self.described().items())})"
-
-    def _repr_html_(self) -> str:
-        return html_pairs("OnlineSolver", {**self.described(), "last": self._last})
 
     def described(self) -> dict[str, object]:
         """Return the model, the engine and the window, for display."""

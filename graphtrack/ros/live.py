@@ -318,15 +318,14 @@ class Live:
             number, smoother = self._named.get(name, (0, None))
             last = None if smoother is None else smoother.last
             if smoother is None or last is None or last.t < t - _GONE:
-                if smoother is not None and self._commons is not None:
+                if smoother is not None:
                     self._commons.leave(smoother.learner)
                 smoother, self._numbers = OnlineSmoother(self._model, lag=self._lag), self._numbers + 1
                 number = self._numbers
             self._named[name] = number, smoother
-            if self._commons is not None:
-                if self._commons.is_due(t):
-                    self._commons.refresh(t, {n: one.learner for n, one in self._named.values()})
-                self._commons.inform(smoother.learner)
+            if self._commons.is_due(t):
+                self._commons.refresh(t, {n: one.learner for n, one in self._named.values()})
+            self._commons.inform(smoother.learner)
             status = smoother.update(one).status
             if status in ("too-late", "duplicate"):
                 self._drop(_BEYOND_LAG if status == "too-late" else _REPEATED)
@@ -335,8 +334,7 @@ class Live:
         gone = [n for n, (_, one) in self._named.items() if one.last is None or one.last.t < now - _GONE]
         for name in gone:
             _, left = self._named.pop(name)
-            if self._commons is not None:
-                self._commons.leave(left.learner)
+            self._commons.leave(left.learner)
         if names and not used:
             return None
         density = self._model.parameters.motion.acceleration_density

@@ -168,9 +168,7 @@ def _with_constants(
 ) -> tuple[Work, Iterator[Batch], Population | None]:
     """Return the work with the constants, the batches, and the population if it was learned from them."""
     known = known_constants(constants)
-    if known == "default" or not is_learned(known, work.model):
-        return replace(work, constants=known), given, None
-    if isinstance(known, Population):
+    if not is_learned(known, work.model) or isinstance(known, Population):
         return replace(work, constants=known), given, None
     first: list[Batch] = []
     tracks: list[Track] = []

@@ -16,6 +16,7 @@ import numpy as np
 from graphtrack.association.tracker import descriptors_of
 from graphtrack.constants.commons import Commons
 from graphtrack.constants.online import OnlineSmoother
+from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
@@ -257,21 +258,19 @@ class TrackAnswers(Answering):
     ) -> None:
         super().__init__(fps, note, unused=unused)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
-        self._commons = commons
+        self._commons = Commons(Population(), learns=False) if commons is None else commons
         self._waiting = dict[int, _Waiting]()
         self.clock = StreamClock(bounds.jump)
         self.members = of_scene()
 
     def shared_state(self) -> dict[str, Any]:
         """Return the state of the clock, and what people have in common."""
-        common = {} if self._commons is None else {"commons": self._commons.state()}
-        return {"clock": self.clock.state(), **common}
+        return {"clock": self.clock.state(), **self._commons.state()}
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
         self.clock.restore(state["clock"])
-        if self._commons is not None:
-            self._commons.restore(state["commons"])
+        self._commons.restore(state)
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
         """Return the answers to each of some lines, the same as one by one.
@@ -342,18 +341,15 @@ class TrackAnswers(Answering):
             self._take_waiting()
             for one in gone:
                 self.before_change(one)
-                left = self.members.pop(one)
-                if self._commons is not None:
-                    self._commons.leave(left.learner)
+                self._commons.leave(self.members.pop(one).learner)
         if track_id in self._waiting or track_id not in self.members:
             self._take_waiting()
-        if self._commons is not None and self._commons.is_due(observation.t):
+        if self._commons.is_due(observation.t):
             self._take_waiting()
             present = {key: one.learner for key, one in self.members.items() if type(key) is int}
             self._commons.refresh(observation.t, present)
         smoother = self._smoother(track_id)
-        if self._commons is not None:
-            self._commons.inform(smoother.learner)
+        self._commons.inform(smoother.learner)
         self.clock.mark(track_id)
         if CONVERSATIONS in self.members:
             self.before_change(CONVERSATIONS)

@@ -233,9 +233,8 @@ class ChainWindow:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
         found = {name: values.copy() for name, values in kept.items()}
         if self._warm:
-            found["link"][-1:] = (
-                0.0  # the newest frame has no link yet: what is there is of an earlier window
-            )
+            # The newest frame has no link yet: an earlier window may have left one there.
+            found["link"][-1:] = 0.0
         return found
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
