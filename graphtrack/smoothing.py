@@ -20,10 +20,10 @@ import numpy as np
 from graphtrack.association.associate import tracks_of
 from graphtrack.association.tracker import DetectionTracker, PersonEstimate
 from graphtrack.constants.commons import commons_of
+from graphtrack.constants.declared import Trust, trusted
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.constants.personal import Constants, is_learned, population_of, solve_learned
 from graphtrack.constants.population import Population
-from graphtrack.diagnostics import Trust, trusted
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.geometry.angles import FloatArray
@@ -101,7 +101,7 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust)
+    given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust, constants)
     for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
     area = None if walkable is None else WalkableArea.of(walkable)

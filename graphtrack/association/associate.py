@@ -90,10 +90,7 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
     as_read = None if rows.as_read is None else rows.as_read.without_identities()
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={}, as_read=as_read)
-    # The tracks show the noise of the positions best.
-    std = rows.channels.get("position_std", np.full(len(rows), np.nan))
-    std = np.where(np.isnan(std), found.scene.position_std, std)
-    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)), position_std=std)
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
     return rows.keep(identity >= 0, FALSE).with_notes(note)
 

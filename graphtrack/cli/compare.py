@@ -23,7 +23,7 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.diagnostics import Trust
+    from graphtrack.constants.declared import Trust
     from graphtrack.evaluation.compare import Comparison
     from graphtrack.evaluation.trackers import TrackerComparison
     from graphtrack.model import Model
@@ -238,7 +238,7 @@ def compare(
 
 def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
     """Return the tracks, and the model of all methods with its noise; None: each method uses its own."""
-    from graphtrack.diagnostics import trusted
+    from graphtrack.constants.declared import trusted
     from graphtrack.model import Model
 
     given = Model.named(model)

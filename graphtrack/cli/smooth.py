@@ -172,7 +172,7 @@ def smooth(
         {**reading.inputs(inputs, model), "--walkable": walkable},
         table=output,
     )
-    from graphtrack.diagnostics import trusted
+    from graphtrack.constants.declared import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
@@ -209,7 +209,7 @@ def smooth(
         tracks = _without_gaps(tracks)
     if resample is not None:
         tracks = with_times_at(tracks, resample)
-    observed, chosen, verdict = trusted(tracks, chosen, trust or "check")
+    observed, chosen, verdict = trusted(tracks, chosen, trust or "check", constants)
     for line in verdict:
         emit(f"  note: {line}")
     in_lanes = fit_lanes(observed.tracks, chosen)
@@ -237,6 +237,8 @@ def smooth(
         f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
         f"{len(good) - len(unconverged)} converged"
     )
+    if noise := next((one.constants.described_noise() for one in good if one.constants is not None), ""):
+        emit(f"  noise, learned: {noise}")
     for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
             emit(f"  track {result.track.track_id}: {result.constants.described()}")

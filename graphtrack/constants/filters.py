@@ -21,35 +21,84 @@ from graphtrack.geometry.angles import (
     concentration_from_resultant,
     direction,
     mean_resultant_length,
+    unit,
     vectors_of,
 )
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.arithmetic import log_i0e
-from graphtrack.kernels.compilation import TRACK, Rehearsal, compiled, inner
+from graphtrack.kernels.compilation import TRACK, Rehearsal, allocating, compiled, inner
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
 
+class Persistent(NamedTuple):
+    """Errors of positions that persist.
+
+    Attributes
+    ----------
+    along, across : 1-σ in metres, along and across the camera's ray; equal without a camera
+    """
+
+    along: float = 0.0
+    across: float = 0.0
+
+    @property
+    def is_any(self) -> bool:
+        """Return whether there are such errors."""
+        return self.along > 0.0 or self.across > 0.0
+
+
 def motion_evidence(
-    tracks: Sequence[Track], parameters: Parameters, densities: FloatArray
+    tracks: Sequence[Track],
+    parameters: Parameters,
+    densities: FloatArray,
+    camera: GroundCamera | None = None,
+    persistent: Persistent | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the log evidence (m, q) of spectral densities of white-noise acceleration, m²/s³.
 
-    And the gross errors (m, q) among the positions that each expects.
+    And the gross errors (m, q) among the positions that each expects. ``camera``: of positions in the image
     """
-    likelihood = parameters.likelihood
-    variance = [likelihood.position_stds(track.position_std, len(track)) ** 2 for track in tracks]
-    position = np.concatenate([track.position - _origin(track) for track in tracks])
+    variance = np.concatenate([position_variance(track, parameters, camera) for track in tracks])
     found = np.zeros((2, len(tracks), len(densities)))
-    filter_positions(
-        *_times(tracks),
-        position,
-        np.concatenate(variance),
-        parameters.motion.initial_speed_std**2,
-        densities,
-        np.zeros(ROW_OF_PATH),
-        found,
-    )
+    given, speed_variance = _times(tracks), parameters.motion.initial_speed_std**2
+    if persistent is None or not persistent.is_any:
+        position, memory = (
+            np.concatenate([track.position - _origin(track) for track in tracks]),
+            np.zeros(ROW_OF_PATH),
+        )
+        filter_positions(*given, position, variance, speed_variance, densities, memory, found)
+        return found[0], found[1]
+    position = np.concatenate([_along_and_across(track, camera) for track in tracks])
+    # Without a camera both axes are alike.
+    parts = [(position, persistent.along)]
+    if camera is not None:
+        parts = [(position[:, :1], persistent.along), (position[:, 1:], persistent.across)]
+    for value, std in parts:
+        value = np.ascontiguousarray(value)
+        filter_persistent(*given, value, variance, std**2, speed_variance, densities, found)
     return found[0], found[1]
+
+
+def _along_and_across(track: Track, camera: GroundCamera | None) -> FloatArray:
+    """Return positions (n, 2) from the first one, along and across the camera's ray to their mean."""
+    position = track.position - _origin(track)
+    placed = np.isfinite(track.position).all(axis=1)
+    if camera is None or not placed.any():
+        return position
+    bearing = float(camera.ray_bearing(track.position[placed].mean(axis=0)))
+    return position @ np.column_stack([unit(bearing), unit(bearing + 0.5 * math.pi)])
+
+
+def position_variance(track: Track, parameters: Parameters, camera: GroundCamera | None) -> FloatArray:
+    """Return the variances (n,) of positions, m², the mean of both axes."""
+    likelihood = parameters.likelihood
+    variance = likelihood.position_stds(track.position_std, len(track)) ** 2
+    if camera is not None and track.pixel is not None and likelihood.image_frame:
+        squares = np.square(camera.ground_jacobian(track.pixel)).sum(axis=(1, 2))
+        in_image = np.isfinite(squares)
+        variance[in_image] = 0.5 * likelihood.pixel_std**2 * squares[in_image]
+    return variance
 
 
 def turning_evidence(
@@ -110,6 +159,9 @@ ROW_OF_PATH, ROW_OF_ANGLE, ROW_OF_COUPLING = 9, 3, 5
 """Numbers of a filter: x, y, vx, vy, variances of position, of both and of velocity, the log evidence, and
 the expected gross errors; a vector and the evidence; the vectors of body and head and the evidence."""
 
+PERSISTENCE = 0.5
+"""Correlation time of persistent errors of positions, seconds. Slower ones are like people's ways."""
+
 OUTLIERS, ASTRAY = 0.01, 100.0
 """Share of positions that may be gross errors, and their variance in m² on each axis. At σ = 0.1 m a position
 is as likely one as not at five standard deviations."""
@@ -126,16 +178,25 @@ def predict_path(row: Any, dt: float, density: float) -> None:
 
 
 @inner
-def observe_path(row: Any, x: float, y: float, variance: float) -> None:
-    """Take a position into a filter, in place, by the probability that it is no gross error."""
-    dx, dy, spread, wide = x - row[0], y - row[1], row[4] + variance, row[4] + variance + ASTRAY
-    square = dx * dx + dy * dy
-    inlier = math.log(1.0 - OUTLIERS) - 0.5 * square / spread - math.log(2.0 * math.pi * spread)
-    outlier = math.log(OUTLIERS) - 0.5 * square / wide - math.log(2.0 * math.pi * wide)
+def with_gross_errors(square: float, spread: float, axes: int) -> tuple[float, float]:
+    """Return the log density of an innovation, and the probability that it is no gross error.
+
+    ``square`` of its length, m², ``spread`` its variance on each of its ``axes``
+    """
+    wide, half = spread + ASTRAY, 0.5 * axes
+    inlier = math.log(1.0 - OUTLIERS) - 0.5 * square / spread - half * math.log(2.0 * math.pi * spread)
+    outlier = math.log(OUTLIERS) - 0.5 * square / wide - half * math.log(2.0 * math.pi * wide)
     top = max(inlier, outlier)
     total = math.exp(inlier - top) + math.exp(outlier - top)
-    share = math.exp(inlier - top) / total
-    row[7] += top + math.log(total)
+    return top + math.log(total), math.exp(inlier - top) / total
+
+
+@inner
+def observe_path(row: Any, x: float, y: float, variance: float) -> None:
+    """Take a position into a filter, in place, by the probability that it is no gross error."""
+    dx, dy, spread = x - row[0], y - row[1], row[4] + variance
+    density, share = with_gross_errors(dx * dx + dy * dy, spread, 2)
+    row[7] += density
     row[8] += 1.0 - share
     spread = row[4] + variance / max(share, 1e-12)
     gain_p, gain_v = row[4] / spread, row[5] / spread
@@ -210,6 +271,92 @@ def filter_positions(
                 else:
                     row[0], row[1], row[4], row[6], begun = x, y, variance[k], speed_variance, True
             found[0, track, candidate], found[1, track, candidate] = row[7], row[8]
+
+
+@allocating
+def filter_persistent(
+    offsets: NDArray[np.int64],
+    dt: FloatArray,
+    value: FloatArray,
+    variance: FloatArray,
+    persistent: float,
+    speed_variance: float,
+    densities: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Add the log density of positions (N, a) on one axis or both to ``found`` (2, m, q), and gross errors.
+
+    As `filter_positions`, with errors of a variance ``persistent`` that persist. The state is the position,
+    the velocity, the error and its rate of change, a Gaussian process of the Matérn covariance
+    (1 + λr)·e^(−λr) (Hartikainen and Särkkä 2010), whose integral over r > 0 is `PERSISTENCE`.
+    """
+    rate = 2.0 / PERSISTENCE
+    slope = persistent * rate * rate
+    axes = value.shape[1]
+    mean, of_place = np.zeros((4, axes)), np.zeros(4)
+    spread, moved, step = np.zeros((4, 4)), np.zeros((4, 4)), np.eye(4)
+    for track in range(len(offsets) - 1):
+        for candidate in range(len(densities)):
+            begun, density = False, densities[candidate]
+            for k in range(offsets[track], offsets[track + 1]):
+                if begun:
+                    h = dt[k]
+                    kept = math.exp(-rate * h)
+                    step[0, 1], step[2, 2], step[2, 3] = h, kept * (1.0 + rate * h), kept * h
+                    step[3, 2], step[3, 3] = -kept * rate * rate * h, kept * (1.0 - rate * h)
+                    for axis in range(axes):
+                        error, change = mean[2, axis], mean[3, axis]
+                        mean[0, axis] += h * mean[1, axis]
+                        mean[2, axis] = step[2, 2] * error + step[2, 3] * change
+                        mean[3, axis] = step[3, 2] * error + step[3, 3] * change
+                    multiply(step, spread, moved)
+                    multiply(moved, step.T, spread)
+                    spread[0, 0] += density * h * h * h / 3.0
+                    spread[0, 1] += 0.5 * density * h * h
+                    spread[1, 0] += 0.5 * density * h * h
+                    spread[1, 1] += density * h
+                    # The process is stationary.
+                    spread[2, 2] += persistent - step[2, 2] ** 2 * persistent - step[2, 3] ** 2 * slope
+                    both = step[2, 2] * step[3, 2] * persistent + step[2, 3] * step[3, 3] * slope
+                    spread[2, 3] -= both
+                    spread[3, 2] -= both
+                    spread[3, 3] += slope - step[3, 2] ** 2 * persistent - step[3, 3] ** 2 * slope
+                if not math.isfinite(value[k].sum()):
+                    continue
+                if not begun:
+                    mean[:], spread[:], begun = 0.0, 0.0, True
+                    mean[0, :] = value[k]
+                    spread[0, 0], spread[1, 1] = variance[k] + persistent, speed_variance
+                    spread[0, 2], spread[2, 0], spread[2, 2] = -persistent, -persistent, persistent
+                    spread[3, 3] = slope
+                    continue
+                square = 0.0
+                for axis in range(axes):
+                    square += (value[k, axis] - mean[0, axis] - mean[2, axis]) ** 2
+                for i in range(4):
+                    of_place[i] = spread[i, 0] + spread[i, 2]
+                expected = of_place[0] + of_place[2]
+                one, share = with_gross_errors(square, expected + variance[k], axes)
+                found[0, track, candidate] += one
+                found[1, track, candidate] += 0.5 * axes * (1.0 - share)
+                total = expected + variance[k] / max(share, 1e-12)
+                for axis in range(axes):
+                    error = (value[k, axis] - mean[0, axis] - mean[2, axis]) / total
+                    for i in range(4):
+                        mean[i, axis] += of_place[i] * error
+                for i in range(4):
+                    for j in range(4):
+                        spread[i, j] -= of_place[i] / total * of_place[j]
+
+
+@inner
+def multiply(left: Any, right: Any, product: Any) -> None:
+    """Write the product of two 4 × 4 matrices."""
+    for i in range(4):
+        for j in range(4):
+            product[i, j] = 0.0
+            for k in range(4):
+                product[i, j] += left[i, k] * right[k, j]
 
 
 @compiled
@@ -377,10 +524,11 @@ def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, 
 def _rehearse() -> None:
     track = replace(TRACK, head=np.zeros(len(TRACK)))
     motion_evidence([track], Parameters(), np.ones(1))
+    motion_evidence([track], Parameters(), np.ones(1), persistent=Persistent(0.1, 0.1))
     turning_evidence([track], "head", Parameters(), np.ones(1))
 
 
-REHEARSAL = Rehearsal("learned constants", _rehearse, 3.0)
+REHEARSAL = Rehearsal("learned constants", _rehearse, 5.0)
 
 
 def _rehearse_online() -> None:

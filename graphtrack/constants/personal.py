@@ -19,7 +19,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.constants.filters import REHEARSAL, motion_evidence, turning_evidence
+from graphtrack.constants.filters import REHEARSAL, Persistent, motion_evidence, turning_evidence
+from graphtrack.constants.noise import (
+    learned_stds,
+    offset_of,
+    persistent_of,
+    undeclared,
+    with_learned_noise,
+    with_noise,
+    with_offset,
+)
 from graphtrack.constants.population import (
     COUPLINGS,
     DENSITIES,
@@ -140,13 +149,41 @@ def solve_learned(
         return [], Population() if population is None else population
     make_ready("the learned constants", REHEARSAL)
     learned_from = _middles(tracks, LEARNED, FEWEST_LEARNED)
-    motion, shares = _motion(learned_from.tracks, model, population)
+    start = with_learned_noise(Population(), learned_from, model) if population is None else population
+    names = undeclared(tracks, model)
+    model = model.with_parameters(with_noise(model.parameters, names, start))
+    persistent = persistent_of(start, names)
+    motion, shares = _motion(learned_from, model, start, persistent, population is not None)
+    offset = offset_of(learned_from, model, persistent)
+    noise = learned_stds(learned_from, model, names, offset)
     if shares.gross_errors > SHOWN:
         model = with_robust_loss(model)
     alternatives = alternatives_of(model)
-    if len(alternatives) == 1:
-        found_alone = solve(tracks, model, motion, progress)
-        return _with_constants(found_alone, motion, alternatives, np.ones((len(tracks), 1))), shares
+    if len(alternatives) > 1:
+        found, weights, shares = _over_couplings(tracks, model, solve, motion, shares, population, progress)
+    else:
+        found, weights = solve(tracks, model, motion, progress), np.ones((len(tracks), 1))
+    answers: list[Solution | Failure] = []
+    learned_by = _constants(motion, alternatives, weights, noise)
+    for one, constants in zip(found, learned_by, strict=True):
+        if isinstance(one, Solution):
+            estimates = with_offset(one.track, offset, tracks.camera)
+            one = replace(one, track=estimates, constants=constants)
+        answers.append(one)
+    return answers, shares
+
+
+def _over_couplings(
+    tracks: TrackSet,
+    model: Model,
+    solve: Solve,
+    motion: dict[str, FloatArray],
+    shares: Population,
+    population: Population | None,
+    progress: Progress | None,
+) -> tuple[list[Solution | Failure], FloatArray, Population]:
+    """Return the averages over the couplings, the couplings' probabilities (m, k), and the population."""
+    alternatives = alternatives_of(model)
     judged = _middles(tracks, JUDGED, FEWEST_JUDGED)
     found: list[Sequence[Solution | Failure | None]] = [
         solve(judged, model, motion | _strengths(one, model, len(tracks)), None) for one in alternatives
@@ -156,7 +193,7 @@ def solve_learned(
     prior = shares.coupling_of(alternatives)
     evidence = np.zeros((len(tracks), len(alternatives)))
     if kept:
-        given = Observed.of([judged.tracks[m] for m in kept], model.parameters)
+        given = Observed.of([judged.tracks[m] for m in kept], model.parameters, tracks.camera)
         outliers = model.parameters.likelihood.outlier_probability
         for k, part in enumerate(found):
             evidence[kept, k] = leave_one_out(given, [_track_of(part[m]) for m in kept], outliers)
@@ -182,7 +219,7 @@ def solve_learned(
             for k, one in enumerate(alternatives)
         ]
     answers = [_of_one([part[m] for part in found], weights[m]) for m in range(len(tracks))]
-    return _with_constants(answers, motion, alternatives, weights), shares
+    return answers, weights, shares
 
 
 def with_robust_loss(model: Model) -> Model:
@@ -208,14 +245,21 @@ def check_learnable(model: Model) -> None:
 
 
 def _motion(
-    tracks: Sequence[Track], model: Model, population: Population | None
+    people: TrackSet, model: Model, start: Population, persistent: Persistent, known: bool
 ) -> tuple[dict[str, FloatArray], Population]:
-    """Return the posterior means (m,) of the constants of motion and turning, and the population's shares."""
-    parameters, start = model.parameters, Population() if population is None else population
+    """Return the posterior means (m,) of the constants of motion and turning, and the population's shares.
+
+    Parameters
+    ----------
+    start : the population, or the prior of one that is not ``known``
+    """
+    tracks, camera, parameters = people.tracks, people.camera, model.parameters
     # Parts of about equal work; each person's evidence does not depend on them.
     parts = [tracks[k :: processors()] for k in range(min(processors(), len(tracks)))]
     evidence = {
-        "acceleration_density": lambda some: np.stack(motion_evidence(some, parameters, DENSITIES)),
+        "acceleration_density": lambda some: np.stack(
+            motion_evidence(some, parameters, DENSITIES, camera, persistent)
+        ),
         "body_diffusion": lambda some: turning_evidence(some, "body", parameters, DIFFUSIONS),
         "head_diffusion": lambda some: turning_evidence(some, "head", parameters, DIFFUSIONS),
     }
@@ -233,12 +277,12 @@ def _motion(
         grid = DIFFUSIONS
         if name == "acceleration_density":
             (own, errors), grid = own, DENSITIES
-            if population is None:
+            if not known:
                 positions = sum(int(np.isfinite(track.position[:, 0]).sum()) for track in tracks)
                 expected = errors[np.arange(len(own)), own.argmax(axis=1)].sum()
                 shares["gross_errors"] = float(expected) / max(positions, 1)
         prior = np.array(getattr(start, name))
-        if population is None:
+        if not known:
             prior = learned(own[placed], getattr(start, name), start.people, grid)
         group = "motion" if name == "acceleration_density" else "orientation"
         values[f"{group}.{name}"] = posterior(own, prior) @ grid
@@ -334,21 +378,22 @@ def _of_one(found: Sequence[Solution | Failure | None], weights: FloatArray) -> 
     return averaged([one for one, _ in used], np.array([w for _, w in used]))
 
 
-def _with_constants(
-    found: Sequence[Solution | Failure],
+def _constants(
     motion: Mapping[str, FloatArray],
     alternatives: Sequence[CouplingAlternative],
     weights: FloatArray,
-) -> list[Solution | Failure]:
+    noise: Mapping[str, float],
+) -> list[PersonalConstants]:
+    """Return the constants of each person."""
     names = [one.name for one in alternatives]
-    answers: list[Solution | Failure] = []
-    for m, one in enumerate(found):
-        if isinstance(one, Solution):
-            values = {name.partition(".")[2]: float(values[m]) for name, values in motion.items()}
-            coupling = dict(zip(names, weights[m].tolist(), strict=True))
-            one = replace(one, constants=PersonalConstants(**values, coupling=coupling))
-        answers.append(one)
-    return answers
+    return [
+        PersonalConstants(
+            **{name.partition(".")[2]: float(values[m]) for name, values in motion.items()},
+            coupling=dict(zip(names, own, strict=True)),
+            noise=noise,
+        )
+        for m, own in enumerate(weights.tolist())
+    ]
 
 
 def mixture(states: FloatArray, covariance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

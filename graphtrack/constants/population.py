@@ -63,7 +63,8 @@ class Evidence(NamedTuple):
 
 
 _SHARES = Evidence._fields
-_NUMBERS = ("people", "gross_errors")
+_NOISE = ("position_noise", "pixel_noise", "body_noise", "head_noise", "along", "across")
+_NUMBERS = ("people", "gross_errors", *_NOISE)
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,9 @@ class Population:
     coupling : of `COUPLINGS`
     people : people that the shares count for, when those of a recording are learned
     gross_errors : share of positions that are gross errors
+    position_noise, pixel_noise, body_noise, head_noise : 1-σ of observations where none is declared,
+        multiples of the model's; pixel_noise 0: positions of the image are judged on the ground
+    along, across : persistent errors of such positions, as in `Persistent`
     """
 
     acceleration_density: tuple[float, ...] = log_normal(DENSITIES, 0.3, 1.5)
@@ -85,6 +89,12 @@ class Population:
     coupling: tuple[float, ...] = (0.1, 0.1, 0.1, 0.7)
     people: float = 2.0
     gross_errors: float = 0.0
+    position_noise: float = 1.0
+    pixel_noise: float = 1.0
+    body_noise: float = 1.0
+    head_noise: float = 1.0
+    along: float = 0.0
+    across: float = 0.0
 
     def __post_init__(self) -> None:
         sizes = {"acceleration_density": len(DENSITIES), "coupling": len(COUPLINGS)}
@@ -190,7 +200,11 @@ _SPREAD = 0.6
 
 
 def learned(
-    evidence: FloatArray, start: tuple[float, ...], people: float, values: FloatArray | None
+    evidence: FloatArray,
+    start: tuple[float, ...],
+    people: float,
+    values: FloatArray | None,
+    rounds: int = ROUNDS,
 ) -> FloatArray:
     """Return the shares (k,) of a population, by expectation maximisation from the evidence of each person.
 
@@ -204,7 +218,7 @@ def learned(
     """
     ordered, prior = evidence[np.lexsort(evidence.T)], np.array(start)
     blur = None if values is None else blur_of(values)
-    for _ in range(ROUNDS if len(evidence) else 0):
+    for _ in range(rounds if len(evidence) else 0):
         prior = posterior(ordered, prior).sum(axis=0) + people * np.array(start)
         prior = prior if blur is None else prior @ blur
         prior = prior / prior.sum()

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.constants.filters import ASTRAY, OUTLIERS, observed_direction
+from graphtrack.constants.filters import ASTRAY, OUTLIERS, observed_direction, position_variance
 from graphtrack.geometry.angles import FloatArray, direction, log_blurred, unit, with_outliers
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
@@ -35,9 +36,9 @@ class Observed(NamedTuple):
     angles: tuple[tuple[str, int, FloatArray, FloatArray], ...]
 
     @classmethod
-    def of(cls, tracks: Sequence[Track], parameters: Parameters) -> Observed:
+    def of(cls, tracks: Sequence[Track], parameters: Parameters, camera: GroundCamera | None) -> Observed:
         """Return the observations of tracks."""
-        stds = [parameters.likelihood.position_stds(track.position_std, len(track)) for track in tracks]
+        variance = [position_variance(track, parameters, camera) for track in tracks]
         begins = np.cumsum([0, *(len(track) for track in tracks[:-1])])
         angles = []
         for name, place in (("body", BODY), ("head", HEAD)):
@@ -45,7 +46,7 @@ class Observed(NamedTuple):
             angle, kappa = (np.concatenate(part) for part in zip(*both, strict=True))
             angles.append((name, place, angle, kappa))
         position = np.concatenate([track.position for track in tracks])
-        return cls(begins.astype(np.int64), position, np.concatenate(stds) ** 2, tuple(angles))
+        return cls(begins.astype(np.int64), position, np.concatenate(variance), tuple(angles))
 
 
 def leave_one_out(observed: Observed, estimates: Sequence[Track], outliers: float) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -114,12 +114,29 @@ class PersonalConstants:
     acceleration_density : q, m²/s³
     body_diffusion, head_diffusion : rad²/s
     coupling : probability of each way in which orientations follow the motion, by its name
+    noise : 1-σ of observations where none was declared, the same for all people: ``position_std`` in metres
+        or ``pixel_std``; ``offset_along`` and ``offset_across`` the camera's ray, of what lasts, in metres;
+        ``body_std`` and ``head_std`` in radians
     """
 
     acceleration_density: float
     body_diffusion: float
     head_diffusion: float
     coupling: Mapping[str, float]
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+    def described_noise(self) -> str:
+        """Return the learned noise; empty if it was declared."""
+        shown = {
+            "position_std": "positions {:.2g} m",
+            "pixel_std": "foot points {:.2g} pixels",
+            "offset_along": "lasting {:.2g} m along",
+            "offset_across": "{:.2g} m across the camera's ray",
+        }
+        return ", ".join(
+            shown[name].format(value) if name in shown else f"{name[:4]} {math.degrees(value):.0f}°"
+            for name, value in self.noise.items()
+        )
 
     def described(self) -> str:
         """Return the constants in units that a reader knows."""

@@ -94,7 +94,7 @@ def test_classes_count_as_the_angle_of_their_mean() -> None:
 def test_leave_one_out_is_what_the_other_observations_predict(name: str) -> None:
     track = walker(4, n=30)
     model = gt.Model(name)
-    found = leave_one_out(Observed.of([track], model.parameters), [gt.smooth(track, model)], 0.0)
+    found = leave_one_out(Observed.of([track], model.parameters, None), [gt.smooth(track, model)], 0.0)
     expected = 0.0
     for k in np.flatnonzero(np.isfinite(track.position[:, 0])).tolist():
         hidden = track.position.copy()

@@ -9,24 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import ran, run
-from scipy import stats
 
 import graphtrack as gt
-from graphtrack.diagnostics import (
-    angle_log_density,
-    declared_noise,
-    pieces_of,
-    position_log_density,
-    shared_offset,
-    turned,
-)
+from graphtrack.constants.declared import declared_noise, shared_offset, turned
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.geometry.angles import von_mises_log_density, wrap
+from graphtrack.geometry.angles import wrap
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.tracks.track import Track, TrackSet
 
 MODEL = gt.Model("joint")
-NEVER = np.array([1e-12])
 
 
 def people(
@@ -52,58 +43,19 @@ def misdeclared(tracks: TrackSet, position: float, body: float, head: float) -> 
     return tracks.map(changed)
 
 
-def test_positions_are_as_probable_as_a_gaussian_of_all_says() -> None:
-    t, q, sigma, speed = np.array([0.0, 0.4, 0.5, 1.1]), 0.3, 0.2, 1.5
-    seen = np.random.default_rng(0).normal(size=(4, 2))
-    track = Track(0, np.arange(4), t, seen)
-    pieces = pieces_of([track], lambda one: (one.position, None), np.random.default_rng(0))
-    found = position_log_density(pieces, sigma, speed, np.ones(1), np.array([q]), NEVER)
-    # The covariance of all positions, given that the first was drawn about its observation.
-    later = t[1:]
-    both = np.minimum.outer(later, later)
-    apart = np.abs(np.subtract.outer(later, later))
-    spread = sigma**2 + speed**2 * np.outer(later, later) + q * both**2 * (both / 3.0 + apart / 2.0)
-    spread += sigma**2 * np.eye(3)
-    expected = sum(
-        stats.multivariate_normal(np.full(3, seen[0, axis]), spread).logpdf(seen[1:, axis])
-        for axis in range(2)
-    )
-    assert found[0, 0] == pytest.approx(expected, rel=1e-6)
-
-
-def test_angles_are_as_probable_as_an_integral_over_the_circle_says() -> None:
-    seen, kappa, diffusion, dt = np.array([0.3, 1.4, -2.0, 0.1]), 3.0, 0.8, 0.25
-    track = Track(0, np.arange(4), dt * np.arange(4), np.zeros((4, 2)), body=seen)
-    pieces = pieces_of([track], lambda one: (one.body, None), np.random.default_rng(0))
-    found = angle_log_density(pieces, kappa, np.ones(1), np.array([diffusion]), NEVER)
-    grid = np.linspace(-np.pi, np.pi, 720, endpoint=False)
-    width = grid[1] - grid[0]
-    wrapped = sum(
-        stats.norm(2.0 * np.pi * turn, np.sqrt(diffusion * dt)).pdf(wrap(grid[:, None] - grid))
-        for turn in range(-3, 4)
-    )
-    density, total = np.full(len(grid), 1.0 / (2.0 * np.pi)), 0.0
-    for k, angle in enumerate(seen):
-        density = wrapped @ density * width if k else density
-        density = density * np.exp(von_mises_log_density(angle, grid, kappa))
-        total += np.log(density.sum() * width)
-        density /= density.sum() * width
-    assert found[0, 0] == pytest.approx(total, abs=0.1)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_declared_rightly_is_not_contradicted(seed: int) -> None:
     setting = [(6, 60, 30.0), (12, 120, 10.0), (30, 30, 2.5)][seed % 3]
     preset = ["separate", "joint"][seed % 2]
-    assert declared_noise(people(seed, *setting, preset).tracks, MODEL).lines() == []
+    assert declared_noise(people(seed, *setting, preset), MODEL).lines() == []
     few = misdeclared(people(4, 1, 30), 0.1, 1.0, 1.0)
-    assert declared_noise(few.tracks, MODEL).lines() == []
+    assert declared_noise(few, MODEL).lines() == []
 
 
 @pytest.mark.parametrize("factor", [1 / 3, 3.0])
 def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
     tracks = misdeclared(people(1), factor, 0.5, 2.0)
-    noise = declared_noise(tracks.tracks, MODEL)
+    noise = declared_noise(tracks, MODEL)
     found = {one.name: one.multiplier for one in noise.channels}
     for name, wrong in (("position", factor), ("body", 0.5), ("head", 2.0)):
         one = found[name]
@@ -113,14 +65,14 @@ def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
     assert all("--trust learn" in line for line in noise.lines())
     _, model = noise.corrected(tracks, MODEL)
     assert model.parameters.likelihood.position_scale == pytest.approx(1.0 / factor, rel=0.12)
-    assert declared_noise(tracks.tracks, model).lines() == []
+    assert declared_noise(tracks, model).lines() == []
 
 
 def test_what_the_model_declares_is_looked_at_where_the_data_declare_nothing() -> None:
     tracks = people(2, std=0.3).map(lambda track: replace(track, position_std=None))
-    (line,) = declared_noise(tracks.tracks, MODEL).lines()
+    (line,) = declared_noise(tracks, MODEL).lines()
     assert "likelihood.position_std" in line
-    _, model = declared_noise(tracks.tracks, MODEL).corrected(tracks, MODEL)
+    _, model = declared_noise(tracks, MODEL).corrected(tracks, MODEL)
     assert model.parameters.likelihood.position_std == pytest.approx(0.3, rel=0.1)
 
 
@@ -130,7 +82,7 @@ def test_gross_errors_do_not_count_as_noise() -> None:
         off = rng.random(len(track)) < 0.1
         return replace(track, position=track.position + off[:, None] * rng.normal(0.0, 2.0, (len(track), 2)))
 
-    assert declared_noise(people(3).map(spoilt).tracks, MODEL).lines() == []
+    assert declared_noise(people(3).map(spoilt), MODEL).lines() == []
 
 
 def walkers(seed: int, n: int = 14) -> TrackSet:
@@ -147,12 +99,12 @@ def walkers(seed: int, n: int = 14) -> TrackSet:
 
 def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
     off = walkers(0).map(lambda track: replace(track, **turned(track, "body", np.radians(30.0))))
-    noise = declared_noise(off.tracks, MODEL)
+    noise = declared_noise(off, MODEL)
     body = next(one for one in noise.channels if one.name == "body")
     assert np.degrees(body.turn) == pytest.approx(30.0, abs=3.0)
     assert any(line.startswith("body") and "to the left" in line for line in noise.lines())
     mended, _ = noise.corrected(off, MODEL)
-    (again,) = (one for one in declared_noise(mended.tracks, MODEL).channels if one.name == "body")
+    (again,) = (one for one in declared_noise(mended, MODEL).channels if one.name == "body")
     assert again.turn == 0.0 and not any(one.turn for one in noise.channels if one.name == "head")
 
 
@@ -166,9 +118,9 @@ def test_gaits_of_their_own_are_no_bias() -> None:
         by = np.random.default_rng(track.track_id).uniform(-np.pi, np.pi)
         return replace(track, **turned(track, "body", by))
 
-    assert not any(one.turn for one in declared_noise(walkers(1).map(own).tracks, MODEL).channels)
+    assert not any(one.turn for one in declared_noise(walkers(1).map(own), MODEL).channels)
     few = walkers(2, 5).map(lambda track: replace(track, **turned(track, "body", 0.6)))
-    assert not any(one.turn for one in declared_noise(few.tracks, MODEL).channels)
+    assert not any(one.turn for one in declared_noise(few, MODEL).channels)
 
 
 def test_smoothing_warns_or_corrects_as_it_is_told() -> None:

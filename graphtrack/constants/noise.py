@@ -1,0 +1,367 @@
+"""The noise of observations, learned from how well they are predicted one step ahead.
+
+Multiples of the 1-σ are candidates, each with the constants of motion and turning that suit each person. The
+errors of a detector also persist: a box leans to one side for some steps, or for as long as a person is in
+sight. What is seen to persist for up to a second is taken to be as large as what lasts, which no track can
+show: each person's positions have an offset, a variable of the graph with a Gaussian prior. Nothing else
+depends on where a person is, so that the estimates are the same with it, and its prior adds to the
+covariances of the positions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.constants.filters import (
+    Persistent,
+    motion_evidence,
+    observed_direction,
+    position_variance,
+    turning_evidence,
+)
+from graphtrack.constants.population import DENSITIES, DIFFUSIONS, Population, learned, log_normal
+from graphtrack.geometry.angles import BoolArray, FloatArray, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import Model
+from graphtrack.model.model import default_parameters
+from graphtrack.model.parameters import Parameters, range_of
+from graphtrack.packages import special
+from graphtrack.tracks.track import Track, TrackSet
+
+MULTIPLES = np.exp2(np.arange(-8.0, 9.0) / 2.0)
+"""Candidates of the multiple of the 1-σ."""
+
+PERSISTENT = np.geomspace(0.15, 1.2, 7)
+"""Candidates of the 1-σ of persistent errors, metres. Smaller ones cannot be told from people's sway."""
+
+_UNSEEN = PERSISTENT[0] / math.sqrt(3.0)
+"""1-σ of persistent errors too small to be seen: uniform below the least candidate."""
+
+_PRIOR_STD = 3.0
+"""Of the logarithm of a multiple."""
+
+_PRIOR_PERSISTENT = 0.01
+"""Probability of persistent errors."""
+
+STRETCH, APART, ROWS = 10.0, 0.1, 2000
+"""Seconds of a stretch, least seconds between its rows, and rows of all stretches: they bound the work."""
+
+FEWEST_STRETCHES, FEWEST_OBSERVED = 4, 100
+"""Below these the noise is not learned."""
+
+_ROUNDS = 10
+"""Rounds of expectation maximisation for the constants that suit each stretch."""
+
+_OUTLIERS = 0.02
+"""Least share of outliers of observed angles, so that they do not count as noise."""
+
+
+def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> list[Track]:
+    """Return stretches of the observed rows of tracks, evenly over all people, in the order of their ids."""
+    found: list[tuple[Track, NDArray[np.int64]]] = []
+    for track in sorted(tracks, key=lambda one: one.track_id):
+        rows = np.flatnonzero(_observed(track, name, parameters))
+        # One row in each interval.
+        step = np.floor((track.t[rows] - track.t[0]) / APART + 1e-6)
+        rows = rows[np.diff(step, prepend=-1.0) > 0.0]
+        part = np.floor((track.t[rows] - track.t[0]) / STRETCH + 1e-6)
+        cuts = np.flatnonzero(np.diff(part)) + 1
+        found += [(track, some) for some in np.split(rows, cuts) if len(some) > 1]
+    every = max(1, round(sum(len(some) for _, some in found) / ROWS))
+    return [track[some] for track, some in found[every // 2 :: every]]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEvidence:
+    """Evidence of the noise of one channel.
+
+    Attributes
+    ----------
+    log_density : (m, s) of the observations of each stretch, for each of `MULTIPLES`
+    tracks : (m,) number of each stretch's track
+    persistent : errors that persist, if they are more probable than none
+    """
+
+    log_density: FloatArray
+    tracks: tuple[int, ...]
+    persistent: Persistent
+
+    @property
+    def most(self) -> float:
+        """The largest log density of all observations."""
+        return float(self.log_density.sum(axis=0).max())
+
+    def peak(self, weights: FloatArray | None = None) -> tuple[float, float]:
+        """Return the logarithm of the most probable multiple, and its variance by the curvature.
+
+        ``weights`` (m,) of the stretches
+        """
+        total = self.log_density.sum(axis=0) if weights is None else weights @ self.log_density
+        logs = np.log(MULTIPLES)
+        total, step = total - 0.5 * (logs / _PRIOR_STD) ** 2, logs[1] - logs[0]
+        k = min(max(int(np.argmax(total)), 1), len(total) - 2)
+        before, here, after = total[k - 1 : k + 2].tolist()
+        bend = max(2.0 * here - before - after, 1e-6)
+        moved = min(max(0.5 * (after - before) / bend, -1.0), 1.0)
+        return float(logs[k] + step * moved), float(step**2 / bend)
+
+
+def noise_evidence(
+    tracks: Sequence[Track], name: str, parameters: Parameters, camera: GroundCamera | None
+) -> NoiseEvidence | None:
+    """Return the evidence of the noise of "position", "body" or "head"; None for too few observations."""
+    some = stretches_of(tracks, name, parameters)
+    if len(some) < FEWEST_STRETCHES or sum(map(len, some)) < FEWEST_OBSERVED:
+        return None
+    numbers = tuple(one.track_id for one in some)
+    if name == "position":
+        positions = _Positions(some, parameters, camera)
+        persistent = positions.persistent()
+        return NoiseEvidence(positions.log_density(persistent), numbers, persistent)
+    outliers = max(parameters.likelihood.outlier_probability, _OUTLIERS)
+    likelihood = replace(parameters.likelihood, outlier_probability=outliers)
+    parameters, shares = (
+        replace(parameters, likelihood=likelihood),
+        getattr(Population(), f"{name}_diffusion"),
+    )
+    densities = [
+        _marginal(turning_evidence(some, name, scaled(parameters, name, one), DIFFUSIONS), shares, DIFFUSIONS)
+        for one in MULTIPLES.tolist()
+    ]
+    return NoiseEvidence(np.stack(densities, axis=1), numbers, Persistent())
+
+
+class _Positions:
+    """Log densities of the positions of stretches, for each q, white noise and persistent errors."""
+
+    def __init__(self, some: Sequence[Track], parameters: Parameters, camera: GroundCamera | None) -> None:
+        self._some, self._parameters, self._camera = some, parameters, camera
+        self._start = log_normal(_DENSITIES, 0.3, 1.5)
+        self._found: dict[tuple[float, Persistent], FloatArray] = {}
+
+    def __call__(self, multiple: float, persistent: Persistent) -> FloatArray:
+        """Return the log density (m,) of each stretch."""
+        key = (multiple, persistent)
+        if key not in self._found:
+            own = scaled(self._parameters, "position", multiple)
+            evidence = motion_evidence(self._some, own, _DENSITIES, self._camera, persistent)[0]
+            self._found[key] = _marginal(evidence, self._start, _DENSITIES)
+        return self._found[key]
+
+    def log_density(self, persistent: Persistent) -> FloatArray:
+        """Return the log density (m, s) for each of `MULTIPLES`."""
+        return np.stack([self(one, persistent) for one in MULTIPLES.tolist()], axis=1)
+
+    def persistent(self) -> Persistent:
+        """Return the most probable persistent errors; none unless they are more probable."""
+        white = self.log_density(Persistent()).sum(axis=0)
+        middle, best = int(np.argmax(white)), float(white.max())
+        # Places in `MULTIPLES`, and in `PERSISTENT` along and across the ray; −1: none.
+        starts = [
+            (max(middle - less, 0), k, across)
+            for k in range(0, len(PERSISTENT), 2)
+            for across in ((k,) if self._camera is None else (k, -1))
+            for less in (0, 2, 4)
+        ]
+
+        def total(place: tuple[int, int, int]) -> float:
+            multiple, along, across = place
+            return float(self(float(MULTIPLES[multiple]), _persistent(along, across)).sum())
+
+        place = max(starts, key=total)
+        if total(place) + math.log(_PRIOR_PERSISTENT / len(starts)) < best:
+            return Persistent()
+        while True:
+            multiple, along, across = place
+            near = [(multiple + step, along, across) for step in (-1, 1)]
+            if self._camera is None:
+                near += [(multiple, along + step, along + step) for step in (-1, 1)]
+            else:
+                near += [(multiple, along + step, across) for step in (-1, 1)]
+                near += [(multiple, along, across + step) for step in (-1, 1)]
+            inside = [
+                (m, one, two)
+                for m, one, two in near
+                if 0 <= m < len(MULTIPLES) and min(one, two) >= -1 and max(one, two) < len(PERSISTENT)
+            ]
+            better = max(inside, key=total)
+            if total(better) <= total(place):
+                break
+            place = better
+        places = range(-1, len(PERSISTENT))
+        if self._camera is None:
+            both = _mean(np.array([total((multiple, k, k)) for k in places]))
+            return Persistent(both, both)
+        return Persistent(
+            _mean(np.array([total((multiple, k, across)) for k in places])),
+            _mean(np.array([total((multiple, along, k)) for k in places])),
+        )
+
+
+_DENSITIES = DENSITIES[::2]
+
+
+def _mean(total: FloatArray) -> float:
+    """Return the root mean square 1-σ by the log density of none and of each of `PERSISTENT`."""
+    stds = np.array([_UNSEEN, *PERSISTENT])
+    return math.sqrt(float(special.softmax(total) @ stds**2))
+
+
+def _persistent(along: int, across: int) -> Persistent:
+    stds = [*PERSISTENT.tolist(), 0.0]
+    return Persistent(stds[along], stds[across])
+
+
+def _observed(track: Track, name: str, parameters: Parameters) -> BoolArray:
+    """Return (n,) True where a channel has an observation."""
+    if name == "position":
+        return np.asarray(np.isfinite(track.position).all(axis=1))
+    return observed_direction(track, name, parameters)[1] > 0.0
+
+
+def _marginal(evidence: FloatArray, start: tuple[float, ...], values: FloatArray) -> FloatArray:
+    """Return the log density (m,) of stretches, over the constants (m, k) that suit each of them."""
+    shares = learned(evidence, start, Population().people, values, _ROUNDS)
+    return np.asarray(special.logsumexp(evidence + np.log(shares), axis=1))
+
+
+def scaled(parameters: Parameters, name: str, multiple: float) -> Parameters:
+    """Return parameters with a multiple of a channel's 1-σ, declared by tracks or not."""
+    own = {f"{name}_scale": multiple}
+    return with_default_noise(_multiplied(parameters, own), name, multiple)
+
+
+def with_default_noise(parameters: Parameters, name: str, multiple: float) -> Parameters:
+    """Return parameters with a multiple of a channel's 1-σ where tracks declare none."""
+    if name == "position":
+        return _multiplied(parameters, {"position_std": multiple, "pixel_std": multiple})
+    return _multiplied(parameters, {f"{name}_kappa": multiple**-2.0})
+
+
+def _multiplied(parameters: Parameters, factors: Mapping[str, float]) -> Parameters:
+    """Return parameters with likelihoods' numbers times factors, within their ranges."""
+    likelihood, changes = parameters.likelihood, {}
+    for name, factor in factors.items():
+        low, high = range_of(likelihood, name) or (0.0, math.inf)
+        changes[name] = min(max(getattr(likelihood, name) * factor, low), high)
+    return replace(parameters, likelihood=replace(likelihood, **changes))
+
+
+SPREADS = {"position": "position_std", "body": "body_kappa", "head": "head_kappa"}
+"""The channel, and the parameter, of the noise that is declared."""
+
+
+def judged_in_image(track: Track, model: Model, camera: GroundCamera | None) -> bool:
+    """Return whether a track's positions are judged in the image."""
+    return camera is not None and track.pixel is not None and model.parameters.likelihood.image_frame
+
+
+def undeclared(tracks: TrackSet, model: Model) -> tuple[str, ...]:
+    """Return the channels whose noise neither tracks nor the model declare, and that can be learned.
+
+    A model declares what differs from the default.
+    """
+    own, usual = model.parameters.likelihood, default_parameters(model.preset).likelihood
+    found = []
+    for name, spread in SPREADS.items():
+        numbers = (spread, "pixel_std") if name == "position" else (spread,)
+        by_model = any(getattr(own, one) != getattr(usual, one) for one in numbers)
+        if not by_model and not any(_declares(track, name, model, tracks.camera) for track in tracks):
+            found.append(name)
+    return tuple(found)
+
+
+def _declares(track: Track, name: str, model: Model, camera: GroundCamera | None) -> bool:
+    if name == "position" and judged_in_image(track, model, camera):
+        return False
+    spread = getattr(track, SPREADS[name])
+    by_class = getattr(track, f"{name}_likelihood", None) is not None
+    return by_class or (spread is not None and bool(np.isfinite(spread).any()))
+
+
+def with_learned_noise(population: Population, tracks: TrackSet, model: Model) -> Population:
+    """Return a population with the noise of the channels for which none is declared, learned from tracks."""
+    changes: dict[str, Any] = {}
+    for name in undeclared(tracks, model):
+        found = noise_evidence(tracks.tracks, name, model.parameters, tracks.camera)
+        if found is None:
+            continue
+        if name != "position":
+            changes[f"{name}_noise"] = math.exp(found.peak()[0])
+            continue
+        if any(judged_in_image(track, model, tracks.camera) for track in tracks):
+            changes["pixel_noise"] = math.exp(found.peak()[0])
+            other = noise_evidence(tracks.tracks, name, on_the_ground(model.parameters), tracks.camera)
+            if other is not None and other.most > found.most:
+                found, changes["pixel_noise"] = other, 0.0
+        changes |= {"position_noise": math.exp(found.peak()[0]), **found.persistent._asdict()}
+    return replace(population, **changes)
+
+
+def on_the_ground(parameters: Parameters) -> Parameters:
+    """Return parameters that judge positions on the ground, in metres."""
+    return replace(parameters, likelihood=replace(parameters.likelihood, image_frame=False))
+
+
+def with_noise(parameters: Parameters, names: Sequence[str], population: Population) -> Parameters:
+    """Return parameters with a population's noise of channels, without the persistent part."""
+    for name in names:
+        parameters = with_default_noise(parameters, name, getattr(population, f"{name}_noise"))
+    if "position" in names and population.pixel_noise == 0.0:
+        parameters = on_the_ground(parameters)
+    return parameters
+
+
+def persistent_of(population: Population, names: Sequence[str]) -> Persistent:
+    """Return the persistent errors of a population for channels whose noise is not declared."""
+    if "position" not in names:
+        return Persistent()
+    return Persistent(population.along, population.across)
+
+
+def offset_of(tracks: TrackSet, model: Model, persistent: Persistent) -> Persistent:
+    """Return the 1-σ of people's offsets, by that of the persistent errors and of the others."""
+    if not persistent.is_any:
+        return persistent
+    variances = [position_variance(track, model.parameters, tracks.camera).mean() for track in tracks]
+    std = math.sqrt(float(np.mean(variances)))
+    return persistent._replace(
+        along=math.hypot(std, persistent.along), across=math.hypot(std, persistent.across)
+    )
+
+
+def with_offset(estimates: Track, offset: Persistent, camera: GroundCamera | None) -> Track:
+    """Return estimates whose covariances have that of the offset."""
+    if not offset.is_any or estimates.covariance is None:
+        return estimates
+    bearing = np.zeros(len(estimates)) if camera is None else camera.ray_bearing(estimates.position)
+    ray, side = unit(bearing), unit(bearing + 0.5 * math.pi)
+    covariance = estimates.covariance.copy()
+    covariance[:, :2, :2] += offset.along**2 * ray[:, :, None] * ray[:, None, :]
+    covariance[:, :2, :2] += offset.across**2 * side[:, :, None] * side[:, None, :]
+    return replace(estimates, covariance=covariance)
+
+
+def learned_stds(
+    tracks: TrackSet, model: Model, names: Sequence[str], offset: Persistent
+) -> dict[str, float]:
+    """Return the 1-σ of channels whose noise was learned, for `PersonalConstants`; the model has it."""
+    likelihood, found = model.parameters.likelihood, {}
+    for name in names:
+        if not any(_observed(track, name, model.parameters).any() for track in tracks):
+            continue
+        if name != "position":
+            found[f"{name}_std"] = getattr(likelihood, f"{name}_kappa") ** -0.5
+            continue
+        in_image = any(judged_in_image(track, model, tracks.camera) for track in tracks)
+        spread = "pixel_std" if in_image else "position_std"
+        found[spread] = getattr(likelihood, spread)
+        if offset.is_any:
+            found |= {"offset_along": offset.along, "offset_across": offset.across}
+    return found

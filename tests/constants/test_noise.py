@@ -1,0 +1,248 @@
+"""Noise learned where none is declared: exact densities, recovery, and offsets as variables of the graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from command import ran
+from scipy import stats
+from walks import rotation
+
+import graphtrack as gt
+from graphtrack.constants.filters import OUTLIERS, PERSISTENCE, Persistent, motion_evidence
+from graphtrack.constants.noise import undeclared, with_learned_noise, with_offset
+from graphtrack.constants.population import DENSITIES, Population
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.parameters import Parameters
+from graphtrack.tracks.track import Track, TrackSet
+
+MODEL = gt.Model("joint")
+
+
+def matern(apart: np.ndarray) -> np.ndarray:
+    scaled = 2.0 / PERSISTENCE * np.abs(apart)
+    return (1.0 + scaled) * np.exp(-scaled)
+
+
+def walks(
+    seed: int,
+    white: float = 0.1,
+    along: float = 0.0,
+    across: float = 0.0,
+    people: int = 30,
+    rate: float = 5.0,
+    way: float = 0.0,
+) -> TrackSet:
+    """Straight walks on which errors persist along and across a direction; no noise is declared."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 1.0 / rate)
+    root = np.linalg.cholesky(matern(np.subtract.outer(t, t)) + 1e-9 * np.eye(len(t)))
+    tracks = []
+    for k in range(people):
+        heading = rng.uniform(-np.pi, np.pi)
+        place = 1.3 * t[:, None] * [np.cos(heading), np.sin(heading)]
+        error = np.column_stack(
+            [along * root @ rng.normal(size=len(t)), across * root @ rng.normal(size=len(t))]
+        )
+        noisy = place + error @ rotation(way).T + white * rng.normal(size=(len(t), 2))
+        tracks.append(Track(k, np.arange(len(t)), t, noisy, true_position=place))
+    return TrackSet(tuple(tracks))
+
+
+# -- evidence ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("std", [0.0, 0.3])
+def test_evidence_with_persistent_errors_is_the_exact_density_of_the_positions(std: float) -> None:
+    (track,) = walks(0, along=std, across=std, people=1).tracks
+    track = track[np.flatnonzero(np.arange(40) % 7 != 3)]
+    t, density, parameters = track.t - track.t[0], 0.2, Parameters()
+    low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    covariance = 0.01 * np.eye(len(t)) + parameters.motion.initial_speed_std**2 * np.outer(t, t)
+    covariance += density * low**2 * (3.0 * high - low) / 6.0 + std**2 * matern(np.subtract.outer(t, t))
+    # The place of the first position is known by that position alone.
+    contrast = np.eye(len(t))[1:] - np.eye(len(t))[0]
+    spread = contrast @ covariance @ contrast.T
+    expected = sum(
+        stats.multivariate_normal(np.zeros(len(t) - 1), spread).logpdf(contrast @ track.position[:, axis])
+        for axis in range(2)
+    )
+    found, errors = motion_evidence([track], parameters, np.array([density]), None, Persistent(std, std))
+    expected += (len(t) - 1) * np.log(1.0 - OUTLIERS)
+    assert found[0, 0] == pytest.approx(expected, abs=0.05) and errors[0, 0] < 0.05
+
+
+def test_persistent_errors_of_no_size_are_none() -> None:
+    tracks = walks(1, people=3).tracks
+    white = motion_evidence(tracks, Parameters(), DENSITIES, None, Persistent())[0]
+    tiny = motion_evidence(tracks, Parameters(), DENSITIES, None, Persistent(1e-6, 1e-6))[0]
+    np.testing.assert_allclose(tiny, white, atol=1e-3)
+
+
+# -- learning ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [2.5, 10.0])
+@pytest.mark.parametrize("white", [0.03, 0.1, 0.4])
+def test_white_noise_is_found_and_nothing_that_persists(rate: float, white: float) -> None:
+    tracks = walks(2, white, rate=rate)
+    found = with_learned_noise(Population(), tracks, MODEL)
+    assert 0.1 * found.position_noise == pytest.approx(white, rel=0.1)
+    assert found.along == found.across == 0.0
+
+
+def test_turns_and_speeds_of_people_are_no_noise() -> None:
+    """Simulated people whose q is that of runners who turn."""
+    motion = replace(MODEL.parameters.motion, acceleration_density=2.0)
+    lively = MODEL.with_parameters(replace(MODEL.parameters, motion=motion))
+    truth = gt.simulate(lively, n_tracks=20, n_steps=150, fps=10.0, rng=np.random.default_rng(0))
+    noisy = gt.add_noise(
+        truth, position_std=0.1, body_kappa=4.0, head_kappa=4.0, rng=np.random.default_rng(1)
+    )
+    bare = noisy.map(lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None))
+    found = with_learned_noise(Population(), bare, MODEL)
+    assert found.position_noise == pytest.approx(1.0, rel=0.15) and found.along == found.across == 0.0
+    assert found.body_noise == pytest.approx(1.0, rel=0.1) == found.head_noise
+
+
+@pytest.mark.parametrize("rate", [2.5, 10.0])
+def test_persistent_errors_are_found_and_intervals_hold_the_truth(rate: float) -> None:
+    tracks = walks(3, 0.1, 0.4, 0.4, rate=rate)
+    found = with_learned_noise(Population(), tracks, MODEL)
+    assert found.along == found.across == pytest.approx(0.4, rel=0.3)
+
+    def offset(track: Track) -> Track:
+        by = np.random.default_rng(track.track_id).normal(0.0, 0.4, 2)
+        return replace(track, position=track.position + by)
+
+    lasting = tracks.map(offset)
+    held = []
+    for one, true in zip(gt.smooth(lasting), lasting, strict=True):
+        assert one.covariance is not None and true.true_position is not None
+        std = np.sqrt(one.covariance[:, (0, 1), (0, 1)])
+        held.append(np.abs(one.position - true.true_position) < 1.96 * std)
+    assert 0.85 < np.concatenate(held).mean() < 0.99
+
+
+def test_errors_along_the_ray_are_told_from_those_across_it() -> None:
+    way = 0.6
+    tracks = walks(4, 0.1, 0.5, 0.0, way=way)
+    far = GroundCamera.from_scale(0.01, nadir=[-1e6 * np.cos(way), 1e6 * np.sin(way)])
+    found = with_learned_noise(Population(), replace(tracks, camera=far), MODEL)
+    assert found.along == pytest.approx(0.5, rel=0.3) and found.across < 0.15
+    one = tracks.tracks[0]
+    covariance = np.tile(1e-4 * np.eye(6), (len(one), 1, 1))
+    wide = with_offset(replace(one, covariance=covariance), Persistent(0.5, 0.1), far)
+    assert wide.covariance is not None
+    ray = np.array([np.cos(way), np.sin(way)])
+    np.testing.assert_allclose(
+        wide.covariance[:, :2, :2] @ ray, np.tile(0.2501 * ray, (len(one), 1)), rtol=1e-2
+    )
+
+
+def test_the_noise_does_not_depend_on_order_origin_or_direction() -> None:
+    tracks = walks(5, 0.15, 0.3, 0.3, people=12)
+    first = with_learned_noise(Population(), tracks, MODEL)
+    turn = rotation(1.1)
+    moved = tracks.map(
+        lambda one: replace(one, position=one.position @ turn.T + [500.0, -80.0], t=one.t + 1e6)
+    )
+    for other in (tracks.with_tracks(tracks.tracks[::-1]), moved):
+        again = with_learned_noise(Population(), other, MODEL)
+        assert again.position_noise == pytest.approx(first.position_noise, rel=1e-4)
+        assert again.along == pytest.approx(first.along, rel=1e-3)
+
+
+def test_few_observations_leave_the_noise_of_the_model() -> None:
+    assert with_learned_noise(Population(), walks(6, 0.4, people=1)[:1], MODEL).position_noise == 1.0
+
+
+# -- declarations --------------------------------------------------------------------------------------------
+
+
+def test_what_is_declared_stays() -> None:
+    tracks = walks(7, 0.4)
+    declared = tracks.map(lambda one: replace(one, position_std=np.full(len(one), 0.2)))
+    assert undeclared(tracks, MODEL) == ("position", "body", "head")
+    assert "position" not in undeclared(declared, MODEL)
+    likelihood = replace(MODEL.parameters.likelihood, position_std=0.3)
+    own = MODEL.with_parameters(replace(MODEL.parameters, likelihood=likelihood))
+    assert "position" not in undeclared(tracks, own)
+    assert "position_std" not in gt.solve(declared)[0].constants.noise
+    assert gt.solve(tracks)[0].constants.noise["position_std"] == pytest.approx(0.4, rel=0.1)
+    assert gt.solve(tracks, constants="default")[0].constants is None
+
+
+def test_a_known_population_brings_its_noise() -> None:
+    tracks = walks(8, 0.3, 0.4, 0.4)
+    population, _ = gt.smoothing.learn_constants(tracks)
+    first, again = gt.smooth(tracks), gt.smooth(tracks, constants=population)
+    for one, two in zip(first, again, strict=True):
+        np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-6)
+    assert Population.from_dict(population.to_dict()) == population
+
+
+# -- offsets -------------------------------------------------------------------------------------------------
+
+
+def test_an_offset_is_a_variable_of_the_graph() -> None:
+    """Marginals of a graph with a walk and a shared offset are the walk's and the offset's prior together."""
+    t, q, white, offset = 0.4 * np.arange(8), 0.2, 0.1, 0.35
+    rng = np.random.default_rng(0)
+    seen = np.cumsum(rng.normal(0.5, 0.1, 8))
+
+    def marginals(has_offset: bool) -> np.ndarray:
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
+        def place(k: int):
+            def error(factor, at, jacobians):
+                x, sign = at.atVector(k), 1.0 if has_offset else 0.0
+                if jacobians is not None:
+                    jacobians[0] = np.array([[1.0, 0.0]])
+                    jacobians[1] = np.array([[sign]])
+                return np.array([x[0] + sign * at.atVector(99)[0] - seen[k]])
+
+            return error
+
+        def step(k: int, dt: float):
+            def error(factor, at, jacobians):
+                move = np.array([[1.0, dt], [0.0, 1.0]])
+                if jacobians is not None:
+                    jacobians[0], jacobians[1] = -move, np.eye(2)
+                return at.atVector(k + 1) - move @ at.atVector(k)
+
+            return error
+
+        one = gtsam.noiseModel.Isotropic.Sigma(1, white)
+        for k in range(len(t)):
+            values.insert(k, np.array([seen[k], 1.0]))
+            graph.add(gtsam.CustomFactor(one, [k, 99], place(k)))
+        for k, dt in enumerate(np.diff(t).tolist()):
+            spread = q * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+            graph.add(
+                gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(spread), [k, k + 1], step(k, dt))
+            )
+        values.insert(99, np.zeros(1))
+        graph.add(gtsam.PriorFactorVector(99, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, offset)))
+        solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        found = gtsam.Marginals(graph, solved)
+        return np.array([[solved.atVector(k)[0], found.marginalCovariance(k)[0, 0]] for k in range(len(t))])
+
+    plain, with_variable = marginals(False), marginals(True)
+    np.testing.assert_allclose(with_variable[:, 0], plain[:, 0], atol=1e-6)
+    np.testing.assert_allclose(with_variable[:, 1], plain[:, 1] + offset**2, rtol=1e-6)
+    track = Track(0, np.arange(8), t, np.column_stack([seen, seen]), covariance=np.zeros((8, 6, 6)))
+    added = with_offset(track, Persistent(offset, offset), None).covariance
+    assert added is not None
+    np.testing.assert_allclose(added[:, 0, 0], with_variable[:, 1] - plain[:, 1], rtol=1e-6)
+
+
+def test_smooth_says_the_noise_that_it_learned(tmp_path: Path) -> None:
+    gt.write(walks(9, 0.2, 0.4, 0.4), tmp_path / "found.csv")
+    done = ran("smooth", tmp_path / "found.csv", "-o", tmp_path / "out.csv", program="graphtrack")
+    (line,) = (one for one in done.stderr.splitlines() if "noise, learned" in one)
+    white, along = (float(part.split(" m")[0].split()[-1]) for part in line.split(",")[1:3])
+    assert white == pytest.approx(0.2, rel=0.15) and along == pytest.approx(np.hypot(0.2, 0.4), rel=0.3)
