@@ -70,8 +70,8 @@ Output = Annotated[
     ),
 ]
 _MODELS = (
-    "position, separate, joint-body, joint, intentional, joint-intentional, social, joint-place, or a "
-    "model file (.toml); by default joint."
+    "position, separate, joint-body, joint, intentional, joint-intentional, social, or a model file (.toml); "
+    "by default joint."
 )
 BestModelName = Annotated[str | None, typer.Option("--model", help=_MODELS)]
 TrustNoise = Annotated[

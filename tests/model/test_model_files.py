@@ -113,6 +113,7 @@ WRONG = [
     ('preset = "unknown"\n', "'unknown'", KNOWN),
     ('preset = ["joint"]\n', "['joint']", KNOWN),
     ("[motoin]\n", "the unknown table 'motoin'", "motion, orientation, coupling, likelihood"),
+    ("[place]\nx = 1.0\n", "the unknown table 'place'", "motion, orientation, coupling, likelihood"),
     ("foo = 1\n", "the unknown key 'foo'", "preset"),
     ("motion = 3\n", "", "a table [motion]"),
     ("[[motion]]\nacceleration_density = 1.0\n", "", "a table [motion]"),
