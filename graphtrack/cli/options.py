@@ -427,7 +427,7 @@ def check_outputs(
 def refuse(given: Mapping[str, object], where: str, expected: str) -> None:
     """Refuse options that do not apply."""
     for name, value in given.items():
-        if value not in (None, False, []):
+        if value is not None and value is not False and value != []:
             raise InputError(f"{name} {where}", expected)
 
 
