@@ -48,8 +48,7 @@ def fit(
 ) -> None:
     """Fit a model to the truth of tracks; without truth, learn what their people have in common.
 
-    Tracks with a truth (columns true_x, true_y) give a model file, for --model. Tracks without give a file of
-    constants, for graphtrack smooth --constants. Detections without identities give a scene, for --model.
+    Tracks with true_x and true_y give a model file (for --model), others constants (for smooth --constants).
 
     Parameters
     ----------
