@@ -32,8 +32,8 @@ detection_probability = 0.85
 ```
 
 `gt.Model(preset, parameters).save("model.toml")` writes a file and `gt.Model.load` reads it; a model
-with terms of your own cannot be saved. *Learned* says if `graphtrack fit` can learn the parameter. One
-that is 0 in the starting model is switched off and stays 0.
+with terms of your own cannot be saved. *Learned* says if `graphtrack fit` can fit the parameter to
+a truth. One that is 0 in the starting model is switched off and stays 0.
 """
 SCENE = """
 ## scene
@@ -85,7 +85,7 @@ def table(values: Any) -> list[str]:
 
 
 def is_learned(values: Any, one: Field[Any]) -> bool:
-    """Return True if `graphtrack fit` can learn a parameter."""
+    """Return True if `graphtrack fit` can fit a parameter to a truth, or learn it of a scene."""
     if isinstance(values, SceneParameters):
         return one.name not in SET
     return bool(one.metadata.get("learned"))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +26,9 @@ Tables = dict[str, list[dict[str, object]]]
 Learned = tuple[dict[str, Any], Sequence[str], Tables]
 """Results of learning as JSON-able data, notes, and tables by their titles."""
 
+_HOLD_OUT = 0.25
+_SHOWN = 30  # rows of a table that are printed
+
 
 def fit(
     inputs: options.Inputs,
@@ -37,30 +40,33 @@ def fit(
     groups: Path | None = None,
     attention: Path | None = None,
     model: str | None = None,
-    criterion: Literal["truth", "evidence", "prediction"] | None = None,
-    hold_out: Annotated[float, typer.Option(min=0.0, max=0.9)] = 0.25,
-    max_frames: Annotated[int, typer.Option(min=2)] = 20_000,
+    hold_out: Annotated[float | None, typer.Option(min=0.0, max=0.9)] = None,
+    max_frames: Annotated[int | None, typer.Option(min=2)] = None,
     report: Path | None = None,
     json_path: options.Json = None,
-    seed: options.Seed = 0,
+    seed: Annotated[int | None, typer.Option(min=0)] = None,
 ) -> None:
-    """Learn model parameters from tracks, with or without truth, or a scene from detections.
+    """Fit a model to the truth of tracks; without truth, learn what their people have in common.
+
+    Tracks with true_x and true_y give a model file (for --model), others constants (for smooth --constants).
 
     Parameters
     ----------
-    output : Model file to write (.toml).
+    output : File to write (.toml).
     scene : Learn the scene from tracks: births, deaths, missed and false detections. With detections without
         identities this is the default.
-    constants : Learn the constants that people have in common, for graphtrack smooth --constants.
+    constants : Learn the constants that people have in common, also from tracks with a truth.
     forecast : Learn motion for graphtrack forecast --parameters; each file is a scene.
     groups : Learn group detection from this file of labelled groups: SALSA's, ETH's or a table.
     attention : Learn gaze from this file of labelled gaze targets (.csv): frame, track_id and target (an id
         or -1); for graphtrack attention --parameters.
-    model : Starting point: a preset or a model file (.toml); by default separate, joint for a scene.
-    criterion : By default truth if the file has it, else evidence or, with couplings, prediction.
-    hold_out : Share of the tracks, or of the end of a scene's recording, held out for validation.
-    max_frames : Most person-frames to learn from; ignored for a scene.
-    report : Write the changed parameters and the gain in log density as HTML.
+    model : Starting point, or the model whose constants are learned: a preset or a model file (.toml); by
+        default joint.
+    hold_out : Share of the tracks with a truth, or of the end of a scene's or labelled recording, held out
+        for validation; by default 0.25.
+    max_frames : Most person-frames to fit to the truth of; by default 20,000.
+    report : Write what was learned as HTML.
+    seed : Seed of the choice of tracks with a truth; by default 0.
     """
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
@@ -70,67 +76,70 @@ def fit(
     )
     if sum((constants, forecast, groups is not None, attention is not None)) > 1:
         raise InputError("several of --constants, --forecast, --groups and --attention", "one of them")
-    if constants:
-        options.refuse(
-            {"--scene": scene, "--criterion": criterion, "--report": report},
-            "with --constants",
-            "tracks alone",
-        )
-        _write(_constants(reading.tracks(inputs), model, output), output, json_path, None)
-        return
-    unused = {"--scene": scene, "--model": model, "--criterion": criterion}
+    held = _HOLD_OUT if hold_out is None else hold_out
+    choice: dict[str, object] = {"--max-frames": max_frames, "--seed": seed}
+    unused = {"--scene": scene, "--model": model, **choice}
     if forecast:
-        options.refuse(unused, "with --forecast", "recordings of people whose identities are known")
+        expected = "recordings of people whose identities are known"
+        options.refuse({**unused, "--hold-out": hold_out}, "with --forecast", expected)
         _write(_forecasts(inputs, reading, output), output, json_path, report)
         return
     for truth, what in ((groups, "groups"), (attention, "attention")):
         if truth is not None:
             expected = f"tracks and the labels of --{what} alone"
             options.refuse({**unused, "--report": report}, f"with --{what}", expected)
-            _labelled(reading.tracks(inputs), truth, what, hold_out, output, json_path)
+            _labelled(reading.tracks(inputs), truth, what, held, output, json_path)
             return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
-    if scene or are_detections:
-        refused: dict[str, object] = {"--criterion": criterion, "--select": reading.select}
-        refused |= {"--associate repair": reading.associate == "repair"}
-        expected = "all rows of a recording, with identities or without"
-        options.refuse(refused, "with a scene", expected)
-        _write(_scene(rows, reading.associate, model, hold_out, output), output, json_path, report)
+    if constants:
+        options.refuse({"--scene": scene}, "with --constants", "one of them")
+    elif scene or are_detections:
+        choice |= {"--select": reading.select, "--associate repair": reading.associate == "repair"}
+        options.refuse(choice, "with a scene", "all rows of a recording, with identities or without")
+        _write(_scene(rows, reading.associate, model, held, output), output, json_path, report)
         return
-    if reading.associate == "auto":
+    elif reading.associate == "auto":
         reading = replace(reading, associate="never")
-    tracks = reading.tracks(inputs, rows)
+    from graphtrack.model import Model
+
+    tracks = reading.tracks(inputs, rows, Model.named(model).scene)
+    if constants or not any(track.has_truth for track in tracks):
+        expected = "no such option: all observations are used"
+        options.refuse({"--hold-out": hold_out, **choice}, "where constants are learned", expected)
+        _write(_constants(tracks, model, output), output, json_path, report)
+    else:
+        chosen = {"hold_out": held, "max_frames": max_frames, "seed": seed}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        _write(_truth(tracks, model, output, given), output, json_path, report)
+
+
+def _truth(tracks: TrackSet, model: str | None, output: Path, given: Mapping[str, Any]) -> Learned:
+    """Fit a model to the truth, with options of `graphtrack.learning.fit`."""
     from graphtrack.learning import fit as learn
 
     with console.status("learning") as status:
-        found = learn(
-            tracks,
-            model or "separate",
-            criterion=criterion,
-            hold_out=hold_out,
-            seed=seed,
-            max_frames=max_frames,
-            progress=lambda count: status.update(f"learning: {count} evaluations"),
-        )
+        found = learn(tracks, model, progress=lambda n: status.update(f"learning: {n} evaluations"), **given)
     found.model.save(output)
     tables = {"Changed parameters": parameter_rows(found), "Gain: log density a frame": score_rows(found)}
-    _write((found.to_dict(), [*advice(found), caption(found)], tables), output, json_path, report)
+    return found.to_dict(), [*advice(found), caption(found, output)], tables
 
 
 def _constants(tracks: TrackSet, model: str | None, output: Path) -> Learned:
     """Learn what people have in common, and each person's constants."""
-    from dataclasses import asdict
-
     from graphtrack.smoothing import learn_constants
 
     with console.status("learning"):
         population, people = learn_constants(tracks, model)
+    if not people:
+        raise InputError("no track that could be smoothed", "observed positions to learn constants from")
     population.save(output)
     rows: list[dict[str, object]] = [
         {"track": track_id, "constants": one.described()} for track_id, one in people.items()
     ]
     content = {"population": asdict(population), "people": {str(k): asdict(one) for k, one in people.items()}}
-    return content, [f"learned from {len(people)} people"], {"Constants": rows[: options.SHOWN_CONSTANTS]}
+    use = f"graphtrack smooth FILE -o OUTPUT --constants {output}" + (f" --model {model}" if model else "")
+    how = f"Learned from the observations of {counted(len(people), 'track')}, not from a truth"
+    return content, [f"{how}; to use it: {use}"], {"Constants": rows}
 
 
 def _write(found: Learned, output: Path, json_path: Path | None, report: Path | None) -> None:
@@ -140,7 +149,7 @@ def _write(found: Learned, output: Path, json_path: Path | None, report: Path | 
 
     content, notes, tables = found
     for title, rows in tables.items():
-        print_table(title, rows)
+        print_table(title if len(rows) <= _SHOWN else f"{title}: {_SHOWN} of {len(rows)}", rows[:_SHOWN])
     for line in reversed(notes):
         emit(line)
     emit(f"wrote {output}")
@@ -155,7 +164,12 @@ def _write(found: Learned, output: Path, json_path: Path | None, report: Path | 
 
 
 def _labelled(
-    tracks: TrackSet, truth: Path, what: str, hold_out: float, output: Path, json_path: Path | None
+    tracks: TrackSet,
+    truth: Path,
+    what: str,
+    held: float,
+    output: Path,
+    json_path: Path | None,
 ) -> None:
     """Learn from labelled groups or gaze, report the accuracy, and write the parameters."""
     from graphtrack.interaction.tables import read_gaze
@@ -164,9 +178,9 @@ def _labelled(
     with console.status("learning"), quiet_input_warnings():
         found: GroupFit | AttentionFit
         if what == "groups":
-            found = fit_groups(tracks, read_quietly(truth), hold_out=hold_out)
+            found = fit_groups(tracks, read_quietly(truth), hold_out=held)
         else:
-            found = fit_attention(tracks, read_gaze(truth), hold_out=hold_out)
+            found = fit_attention(tracks, read_gaze(truth), hold_out=held)
     found.parameters.save(output)
     title, counted_by = ("Groups", "frame") if what == "groups" else ("Gaze", "label")
     parts = {"training data": found.learned_from, "held-out data": found.held_out}
@@ -208,15 +222,14 @@ def _forecasts(inputs: list[Path], reading: options.SceneReading, output: Path) 
     return found.to_dict(), ["Judged on what was learned from."], tables
 
 
-def _scene(
-    rows: Rows | None, associate: Associate, model: str | None, hold_out: float, output: Path
-) -> Learned:
+def _scene(rows: Rows | None, associate: Associate, model: str | None, held: float, output: Path) -> Learned:
     """Learn a scene: from detections, or from tracks.
 
     Parameters
     ----------
     rows : of the input; None: there are several
     associate : "always": the identities of the input are forgotten
+    held : share held out
     """
     from graphtrack.learning import fit_scene
 
@@ -229,7 +242,7 @@ def _scene(
             rows,
             model,
             labelled=labelled,
-            hold_out=hold_out,
+            hold_out=held,
             progress=lambda done, total: status.update(f"learning: {done} of {total} sweeps"),
         )
     found.model.save(output)
@@ -254,14 +267,13 @@ def score_rows(found: Fit) -> list[dict[str, object]]:
     ]
 
 
-def caption(found: Fit) -> str:
-    """Describe the criterion."""
-    what = {
-        "truth": "the likelihood of the true positions and angles under the smoother's covariances",
-        "evidence": "the Laplace evidence of the observations",
-        "prediction": "the held-out predictive log-likelihood of the observations, a part at a time",
-    }[found.criterion]
-    return f"Learned by {what}; preset {found.model.preset}, {found.evaluations} evaluations."
+def caption(found: Fit, output: Path) -> str:
+    """Describe what the model was fitted to, and its use."""
+    tracks = counted(found.tracks[0], "track")
+    return (
+        f"Fitted to the truth of {tracks} (model {found.start.preset}, {found.evaluations} evaluations); "
+        f"to use it: graphtrack smooth FILE -o OUTPUT --model {output}"
+    )
 
 
 def advice(found: Fit) -> list[str]:

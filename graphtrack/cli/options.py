@@ -70,8 +70,8 @@ Output = Annotated[
     ),
 ]
 _MODELS = (
-    "position, separate, joint-body, joint, intentional, joint-intentional, social, joint-place, or a "
-    "model file (.toml); by default joint."
+    "position, separate, joint-body, joint, intentional, joint-intentional, social, or a model file (.toml); "
+    "by default joint."
 )
 BestModelName = Annotated[str | None, typer.Option("--model", help=_MODELS)]
 TrustNoise = Annotated[
@@ -427,7 +427,7 @@ def check_outputs(
 def refuse(given: Mapping[str, object], where: str, expected: str) -> None:
     """Refuse options that do not apply."""
     for name, value in given.items():
-        if value not in (None, False, []):
+        if value is not None and value is not False and value != []:
             raise InputError(f"{name} {where}", expected)
 
 

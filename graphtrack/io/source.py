@@ -253,7 +253,10 @@ def table_in(path: Path) -> Path:
 
 
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
-    """Return the content of a TOML file; ``expected`` describes it in messages."""
+    """Return the content of a TOML file; ``expected`` describes it in messages.
+
+    Raise InputError for a file that cannot be read, or is of another kind that ``graphtrack fit`` writes.
+    """
     try:
         with Path(path).open(encoding="utf-8") as stream:
             text = stream.read(_MOST_CHARACTERS + 1)  # a device may be endless
@@ -265,15 +268,27 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
                 raise InputError(
                     "more than 100 dots", f"keys of few parts: {expected}", path=path, line=number
                 )
-        return tomllib.loads(text)
+        content = tomllib.loads(text)
     except OSError as error:
         raise InputError(error.strerror or str(error), f"a readable file: {expected}", path=path) from error
     except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
         raise InputError(f"no TOML ({error})", expected, path=path) from error
     except RecursionError as error:
         raise InputError("brackets within brackets without end", expected, path=path) from error
+    kinds = [kind for kind, keys in _KINDS.items() if not content.keys().isdisjoint(keys)]
+    if len(kinds) == 1 and not kinds[0].startswith(expected):
+        raise InputError(kinds[0], expected, path=path)
+    return content
 
 
+_KINDS = {
+    "a model file (for --model)": ("preset", "motion", "orientation", "likelihood", "social", "scene"),
+    "a file of constants (for --constants)": ("acceleration_density", "body_diffusion", "head_diffusion"),
+    "the output of 'graphtrack fit --forecast' (for graphtrack forecast --parameters)": ("forecast",),
+    "the output of 'graphtrack fit --groups' (for graphtrack groups --parameters)": ("groups",),
+    "the output of 'graphtrack fit --attention' (for graphtrack attention --parameters)": ("attention",),
+}
+"""Kind of a file, and the option that takes it → keys that no other kind has."""
 _MOST_PARTS = 100
 _MOST_CHARACTERS = 10**8
 

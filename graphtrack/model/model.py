@@ -16,10 +16,7 @@ from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
 from graphtrack.model.observation import OwnParameters, States, Step
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.parameters import (
-    LikelihoodParameters,
-    Parameters,
-)
+from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.term import FramePacker, Term, types_of
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
@@ -31,7 +28,6 @@ from graphtrack.model.terms.orientation import (
     HeadDynamics,
     HeadLikelihood,
 )
-from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.packages import gtsam
 from graphtrack.tracks.display import html_table, listed, shortened
@@ -48,12 +44,10 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
-    "joint-place": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, PlacePrior),
     "social": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, FacesGroup, OrientationPersistence),
 }
 """Name → terms. ``joint-body`` is "separate" of Chen et al. (2011) (κ₂ = 0), ``joint`` their model, and
-``intentional`` that of Baxter et al. (2014). ``joint-place`` has a place that attracts or repels people; in
-``social`` the members of a conversation face each other."""
+``intentional`` that of Baxter et al. (2014). In ``social`` the members of a conversation face each other."""
 
 
 def every_term() -> tuple[type[Term], ...]:

@@ -166,23 +166,6 @@ class LikelihoodParameters(_Group):
 
 
 @dataclass(frozen=True)
-class PlaceParameters(_Group):
-    """A place that attracts or repels people, in the presets that have it.
-
-    Attributes
-    ----------
-    x, y : centre of the place in the world, m
-    radius : radius over which it acts, m
-    strength : log density at the centre less that far away; negative: people are repelled
-    """
-
-    x: float = _number(0.0, -1e7, 1e7, "m", learned=False)
-    y: float = _number(0.0, -1e7, 1e7, "m", learned=False)
-    radius: float = _number(2.0, 0.01, 1e4, "m", learned=False)
-    strength: float = _number(1.0, -1e3, 1e3, learned=False)
-
-
-@dataclass(frozen=True)
 class SocialParameters(_Group):
     """Members of a conversation face its o-space and seldom turn, in the presets that have groups.
 
@@ -213,7 +196,6 @@ class Parameters:
     orientation: OrientationParameters = field(default_factory=OrientationParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
-    place: PlaceParameters = field(default_factory=PlaceParameters)
     social: SocialParameters = field(default_factory=SocialParameters)
 
     @classmethod

@@ -13,7 +13,6 @@ import graphtrack.model.terms.conversation as conversation_kernels
 import graphtrack.model.terms.couplings as couplings_kernels
 import graphtrack.model.terms.motion as motion_kernels
 import graphtrack.model.terms.orientation as orientation_kernels
-import graphtrack.model.terms.place as place_kernels
 import graphtrack.model.terms.position as position_kernels
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.lanes import any_of, choose, masked, negate
@@ -124,12 +123,6 @@ def add_frame(
             cost += choose(gate, couplings_kernels.add_head_follows_body(body_cos, body_sin, head_cos,
                 head_sin, frame.head_body_kappa, exact, masked(sums.gradient, gate), masked(sums.hessian,
                 gate)), 0.0)
-        gate = frame.place_weight > 0.0
-        if any_of(gate):
-            cost += choose(gate, place_kernels.add_place(state, problem.origin[track, 0],
-                problem.origin[track, 1], frame.place_weight, shared.place_x, shared.place_y,
-                shared.place_radius, shared.place_sign, exact, masked(sums.gradient, gate),
-                masked(sums.hessian, gate)), 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
             cost += choose(gate, conversation_kernels.add_faces_group(at_body, body_cos, body_sin,

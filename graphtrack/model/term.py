@@ -82,14 +82,6 @@ class Term(ABC):
         """Return True if the linear solution covers everything that the term packed."""
         return False
 
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log ∫ exp(−cost) over the term's variable: the normaliser that `cost` leaves out, for whole tracks.
-
-        It depends on the parameters and on the track's observations, not on the states. Parameters can be
-        learned without a truth from terms that define it.
-        """
-        raise NotImplementedError(f"{type(self).__name__} has no normaliser")
-
     @cached_property
     def packer(self) -> FramePacker:
         """Packer of single frames: for this term alone, unless a model has a joint packer for its terms."""
@@ -98,11 +90,6 @@ class Term(ABC):
     def states(self, name: str) -> bool:
         """Return True if the class itself defines ``name``: a parent's definition may not hold for it."""
         return name in vars(type(self))
-
-    @property
-    def is_normalised(self) -> bool:
-        """Return True if the term defines its `log_normaliser`."""
-        return self.states("log_normaliser")
 
     @property
     def is_compiled(self) -> bool:

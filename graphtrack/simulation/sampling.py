@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.model import Model
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion
-from graphtrack.model.terms.place import PlacePrior
 from graphtrack.simulation import WALKING_PACE
 from graphtrack.simulation.motion import (
     sample_coupled_velocity,
@@ -100,11 +98,9 @@ def simulate(
     Raises
     ------
     InputError
-        For a number outside its range, and for a model with a place, which cannot be sampled.
+        For a number outside its range.
     """
     model = Model.named(model)
-    if model.has_term(PlacePrior):
-        raise InputError("the term PlacePrior, which cannot be sampled", "a model without a place")
     check_count("n_tracks", n_tracks)
     check_count("n_steps", n_steps)
     check_frame_rate(fps)

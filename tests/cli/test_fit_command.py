@@ -15,8 +15,10 @@ from command import run as run_command
 from crossing_people import street
 
 import graphtrack as gt
+from graphtrack.constants.population import Population
 from graphtrack.learning.fit import _split as split_tracks
 from graphtrack.model import MotionParameters
+from graphtrack.smoothing import learn_constants
 
 run = partial(command.run, program="graphtrack")
 
@@ -27,12 +29,54 @@ def people(cwd: Path) -> Path:
     return cwd
 
 
+def test_what_is_learned_without_a_truth_is_what_smooth_learns(people: Path) -> None:
+    seen = gt.read("people.csv").map(lambda track: replace(track, true_position=None))
+    gt.write(seen, "seen.csv")
+    done = run(
+        "fit", "seen.csv", "-o", "constants.toml", "--report", "learned.html", "--json", "learned.json"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "observations of 5 tracks, not from a truth" in done.stderr
+    assert "to use it: graphtrack smooth FILE -o OUTPUT --constants constants.toml" in done.stderr
+    population, constants = learn_constants(seen)
+    assert Population.load("constants.toml") == population
+    told = json.loads((people / "learned.json").read_text(encoding="utf-8"))["people"]
+    assert {int(one) for one in told} == set(constants)
+    assert constants[0].described() in (people / "learned.html").read_text(encoding="utf-8")
+    # The truth is used unless constants are asked for.
+    assert run("fit", "people.csv", "-o", "again.toml", "--constants").returncode == 0
+    assert Population.load("again.toml") == population
+    given = [["--constants", "constants.toml"], ["--model", "position", "--constants", "constants.toml"]]
+    for options in given:
+        assert run("smooth", "seen.csv", "-o", "smoothed.csv", *options).returncode == 0
+
+
+@pytest.mark.parametrize("option", ["--hold-out 0", "--max-frames 100", "--seed 0"])
+def test_options_of_the_choice_of_tracks_need_a_truth(people: Path, option: str) -> None:
+    done = run("fit", "people.csv", "-o", "constants.toml", "--constants", *option.split())
+    assert done.returncode == 2 and option.split()[0] in done.stderr
+    assert not (people / "constants.toml").exists()
+
+
+def test_a_model_and_constants_in_each_others_place_are_one_error(people: Path) -> None:
+    gt.Model().save("model.toml")
+    Population().save("constants.toml")
+    for option, file, right in (
+        ("--model", "constants.toml", "a file of constants (for --constants)"),
+        ("--constants", "model.toml", "a model file (for --model)"),
+    ):
+        done = run("smooth", "people.csv", "-o", "smoothed.csv", option, file)
+        assert done.returncode == 2 and f"{file}: found {right}, expected" in done.stderr
+        assert not (people / "smoothed.csv").exists()
+
+
 def test_a_model_file_a_report_and_the_numbers_come_out(people: Path) -> None:
     options = ["--model", "position", "--report", "learned.html", "--json", "learned.json"]
     done = run("fit", "people.csv", "-o", "learned.toml", *options)
     printed = done.stdout
     assert done.returncode == 0, done.stderr
     assert "motion.acceleration_density" in printed and "held out" in printed
+    assert "Fitted to the truth of 4 tracks" in done.stderr and "--model learned.toml" in done.stderr
     told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
     model = gt.Model.load("learned.toml")
     assert model.to_dict() == told["model"]
@@ -98,7 +142,9 @@ def test_identities_are_forgotten_on_request(here: Path) -> None:
 
 
 WRONG = {
-    "seen.csv --criterion truth": "--criterion",
+    "seen.csv --max-frames 100": "--max-frames",
+    "seen.csv --seed 0": "--seed",
+    "labelled.csv --forecast --hold-out 0.1": "--hold-out",
     "seen.csv --select 1": "--select",
     "seen.csv seen.csv": "each file once",
     "seen.csv seen.csv --scene": "one recording at a time",

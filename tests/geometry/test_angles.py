@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import special, stats
+from scipy import integrate, special, stats
 
 from graphtrack.geometry import angles
 
@@ -72,3 +72,38 @@ def test_the_mean_resultant_length_is_the_mean_cosine_and_has_an_inverse(kappa: 
     assert float(angles.concentration_from_resultant(length)) == pytest.approx(kappa, rel=5e-3)
     if kappa < 500.0:
         assert length == pytest.approx(special.iv(1, kappa) / special.iv(0, kappa), rel=1e-9)
+
+
+@pytest.mark.parametrize("kappas", [(0.0, 2.0), (1.5, 0.3), (30.0, 400.0)])
+def test_the_density_of_a_blurred_angle_is_its_integral(kappas: tuple[float, float]) -> None:
+    first, second = kappas
+    for apart in (0.0, 0.4, 3.0):
+
+        def product(angle: float, apart: float = apart) -> float:
+            logs = (
+                angles.von_mises_log_density(angle, 0.0, first),
+                angles.von_mises_log_density(angle, apart, second),
+            )
+            return float(np.exp(sum(logs)))
+
+        expected = integrate.quad(product, -np.pi, np.pi, points=[0.0, apart], limit=200)[0]
+        found = angles.log_blurred(np.array([apart]), np.array([first]), np.array([second]))[0]
+        assert np.exp(found) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_an_angle_far_from_a_sure_estimate_is_foretold_though_its_density_underflows() -> None:
+    apart, first, second = np.array([3.0]), np.array([900.0]), np.array([800.0])
+
+    def log_product(angle: float) -> float:
+        return float(
+            angles.von_mises_log_density(angle, 0.0, 900.0) + angles.von_mises_log_density(angle, 3.0, 800.0)
+        )
+
+    # Its mass is about the one place between both; as a double the density would be 0 there.
+    greatest = max(np.linspace(0.0, 3.0, 30_001), key=log_product)
+    most = log_product(greatest)
+    scaled = integrate.quad(lambda angle: np.exp(log_product(angle) - most), greatest - 0.5, greatest + 0.5)[
+        0
+    ]
+    assert most < -1000.0
+    assert angles.log_blurred(apart, first, second)[0] == pytest.approx(most + np.log(scaled), rel=1e-9)

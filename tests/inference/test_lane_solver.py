@@ -17,7 +17,8 @@ from graphtrack.inference.chain.batch import LARGE, LONGEST, fit_lanes, has_lane
 from graphtrack.inference.chain.initialisation import pack, pack_to_solve
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters
-from graphtrack.model.terms.place import PlacePrior
+from graphtrack.model.terms.conversation import FacesGroup
+from graphtrack.model.terms.couplings import HeadFollowsBody
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -52,18 +53,18 @@ def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
     assert fit_lanes(mixed, model, LARGE) == [False, False, True]
 
 
-class Uphill(PlacePrior):
-    """A place whose kernel is of one's own."""
+class OwnCoupling(HeadFollowsBody):
+    """A coupling whose kernel is of one's own."""
 
-    kernels = (replace(PlacePrior.kernels[0]),)
+    kernels = (replace(HeadFollowsBody.kernels[0]),)
 
 
 def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert all(
         has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "social")
     )
-    assert has_lanes(Model("joint", terms=[PlacePrior]))
-    assert not has_lanes(Model("joint", terms=[Uphill]))
+    assert has_lanes(Model("joint", terms=[FacesGroup]))
+    assert not has_lanes(Model("joint", terms=[OwnCoupling]))
     types = pack([walk(5)], Model("social")).records.dtype
     robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
     for model in (Model("joint"), Model("position", robust)):  # the linear terms do not do
@@ -75,7 +76,7 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
     parameters = random_parameters(rng) if seed in (3, 4) else None
-    model = Model(preset, parameters, terms=[PlacePrior] if seed == 5 else [])
+    model = Model(preset, parameters)
     beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
     np.testing.assert_array_equal(beside.status, by_itself.status)

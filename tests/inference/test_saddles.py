@@ -16,7 +16,7 @@ from graphtrack.model import presets
 DT, SPEED = 0.1, 1.0
 DIRECTIONS = 2.0 * np.pi * np.arange(16) / 16
 QUANTA = (0.0, 0.05, 0.1)  # metres
-BODY_FOLLOWS = ("joint-body", "joint", "joint-intentional", "joint-place", "social")
+BODY_FOLLOWS = ("joint-body", "joint", "joint-intentional", "social")
 MODELS = [name for name in presets if name != "position"]
 
 

@@ -23,7 +23,7 @@ from graphtrack.inference.engines import make_solver_ready
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
 from graphtrack.interaction.people import people_at
-from graphtrack.learning import optimise
+from graphtrack.learning.fit import TruthLikelihood
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.scenario import party
 from graphtrack.smoothing import WARMED, smooth, track_online, warm_up
@@ -116,7 +116,7 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:
         lambda: smooth(TrackSet((track,)), "joint", constants="default"),
         lambda: smooth_track(track, model, engine="gtsam"),
         lambda: OnlineSmoother("joint", constants="default"),
-        lambda: optimise.Solver([track], model, None),
+        lambda: TruthLikelihood([track], model, None),
         lambda: particle.particle_filter(track, "joint"),
         lambda: particle.particle_smoother(track, "joint"),
     ):

@@ -78,7 +78,7 @@ def test_parameters_come_back_from_their_file(tmp_path: Path) -> None:
     path.write_text("[attention]\nlook_std = 9.0\n")
     with pytest.raises(InputError, match=r"attention\.look_std = 9\.0"):
         AttentionParameters.load(path)
-    path.write_text("[groups]\n")
+    path.write_text("")
     with pytest.raises(InputError, match="no table \\[attention\\]"):
         AttentionParameters.load(path)
 

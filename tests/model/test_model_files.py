@@ -7,6 +7,7 @@ import pickle
 import tomllib
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from walks import walk
 
 import graphtrack as gt
 from graphtrack.constants.online import OnlineSmoother
+from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.interaction.attention import AttentionParameters
 from graphtrack.model import CouplingParameters, Model, Parameters, presets
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms.orientation import BodyDynamics
@@ -113,6 +116,7 @@ WRONG = [
     ('preset = "unknown"\n', "'unknown'", KNOWN),
     ('preset = ["joint"]\n', "['joint']", KNOWN),
     ("[motoin]\n", "the unknown table 'motoin'", "motion, orientation, coupling, likelihood"),
+    ("[place]\nx = 1.0\n", "the unknown table 'place'", "motion, orientation, coupling, likelihood"),
     ("foo = 1\n", "the unknown key 'foo'", "preset"),
     ("motion = 3\n", "", "a table [motion]"),
     ("[[motion]]\nacceleration_density = 1.0\n", "", "a table [motion]"),
@@ -135,6 +139,27 @@ WRONG = [
 def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, text: str, found: str, expected: str) -> None:
     error = refused(tmp_path, text)
     assert found in error.found and expected in error.expected
+
+
+KINDS: dict[str, Any] = {
+    "--model": (Model("joint"), Model.load),
+    "--constants": (Population(), Population.load),
+    "graphtrack forecast --parameters": (gt.ForecastParameters(), gt.ForecastParameters.load),
+    "graphtrack groups --parameters": (gt.GroupParameters(), gt.GroupParameters.load),
+    "graphtrack attention --parameters": (AttentionParameters(), AttentionParameters.load),
+}
+"""All that ``graphtrack fit`` writes, by the option that takes it."""
+
+
+@pytest.mark.parametrize("option", KINDS)
+def test_a_file_of_another_kind_is_answered_with_its_option(tmp_path: Path, option: str) -> None:
+    content, own = KINDS[option]
+    content.save(tmp_path / "learned.toml")
+    own(tmp_path / "learned.toml")
+    for load in (load for _, load in KINDS.values() if load is not own):
+        with pytest.raises(InputError, match=f"for {option}") as caught:
+            load(tmp_path / "learned.toml")
+        assert "\n" not in str(caught.value) and "learned.toml" in str(caught.value)
 
 
 def small_tracks() -> gt.TrackSet:

@@ -41,7 +41,7 @@ from graphtrack.model.generator import OF_PRESETS
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.parameters import PlaceParameters, SocialParameters
+from graphtrack.model.parameters import SocialParameters
 from graphtrack.model.term import filled
 from graphtrack.model.terms.conversation import FacesGroup, OrientationPersistence
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
@@ -55,7 +55,6 @@ from graphtrack.model.terms.orientation import (
     highest_log_density,
     mixture_log_density,
 )
-from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.tracks.track import Track
 
@@ -178,10 +177,6 @@ def coupling(**values: Any) -> Parameters:
     return Parameters(coupling=CouplingParameters(**values))
 
 
-def place(strength: float) -> Parameters:
-    return Parameters(place=PlaceParameters(0.5, -1.0, strength=strength))
-
-
 def steering(rate: float) -> Parameters:
     return Parameters(MotionParameters(head_rate=rate))
 
@@ -226,8 +221,6 @@ CASES = [
     Case("body angle without weight", BodyLikelihood, likelihood(body_kappa=0.0), **SEEN_BODY),
     Case("8 body classes", BodyLikelihood, density=class_density("body"), **MIXED_8),
     Case("12 head classes", HeadLikelihood, density=class_density("head"), **MIXED_12),
-    Case("drawn to a place", PlacePrior, place(3.0)),
-    Case("kept from a place", PlacePrior, place(-3.0)),
     Case("faces companions", FacesGroup),
     Case("holds still", OrientationPersistence),
     Case("holds still, firmly", OrientationPersistence, Parameters(social=SocialParameters(body_hold=100.0))),

@@ -26,18 +26,11 @@ whose motion is not Gaussian."""
 EVEN_SLOW = replace(BRISK, coupling=replace(COUPLED, speed_threshold=0.0))
 """`BRISK` of people whose bodies follow their motion however slow it is."""
 
-WITHOUT_TRUTH = {"true_position": None, "true_body": None, "true_head": None}
 
-
-def unknown(
-    preset: str,
-    seed: int,
-    n_tracks: int = 8,
-    n_steps: int = 50,
-    truth: bool = False,
-    true: Parameters | None = None,
+def known(
+    preset: str, seed: int, n_tracks: int = 8, n_steps: int = 50, true: Parameters | None = None
 ) -> TrackSet:
-    """People without declared noise and, without ``truth``, without the truth.
+    """People with their truth, without declared noise.
 
     They are made with ``true``: by default `TRUE`, and `BRISK` for `joint`, whose people come from
     the graph's own density.
@@ -47,17 +40,9 @@ def unknown(
         tracks = sample_graph(true or BRISK, n_tracks=n_tracks, n_steps=n_steps, rng=rng)
     else:
         tracks = simulate(Model(preset, true or TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng, pace=None)
-    gone = {} if truth else WITHOUT_TRUTH
-    return tracks.map(
-        lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None, **gone)
-    )
+    return tracks.map(lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None))
 
 
 def inside(found: Fit, true: Parameters = TRUE) -> dict[str, bool]:
     """Parameter → True if its interval holds the simulated people's value."""
-    known = Model(found.model.preset, true).to_dict()
-    return {
-        one.name: one.low <= known[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high
-        for one in found.learned
-        if not one.note
-    }
+    return {one.name: one.low <= true.value(one.name) <= one.high for one in found.learned if not one.note}

@@ -534,14 +534,3 @@ def cost_of(chain: Chain, states: FloatArray, workspace: Workspace) -> Any:
     for i in range(N):
         workspace.start[0, i] = states[0, i]
     return sweep_forward(chain, states, as_variable(True), workspace)[0]
-
-
-@merged
-def factorise(chain: Chain, states: FloatArray, workspace: Workspace) -> bool:
-    """Factor the Hessian of one track, exact or else Gauss–Newton's; True if one was definite."""
-    full = as_variable(True)
-    copy_rows(0, 1, states, workspace.start)
-    _, definite = sweep_forward(chain, states, full, workspace)
-    if not definite:
-        _, definite = sweep_forward(chain, states, not full, workspace)
-    return definite

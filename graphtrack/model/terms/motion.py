@@ -154,12 +154,6 @@ class Motion(Term):
         first = states.velocity[int(np.argmax(observed)) if observed.any() else 0]
         return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
 
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """½·log det 2πQ(Δt) of each step, and of the first velocity."""
-        motion, dt = self.parameters.motion, np.diff(track.t)
-        steps = np.log((2.0 * np.pi * motion.acceleration_density * dt**2) ** 2 / 12.0)
-        return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
-
     def is_linear(self, packed: PackedTracks) -> bool:
         """True: the term is linear."""
         return True
@@ -380,15 +374,6 @@ class IntentionalMotion(Motion):
         )
         start = np.sum(states.velocity[0] ** 2) / motion.initial_speed_std**2
         return 0.5 * float(squares.sum() + start)
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """½·log det 2πQ(Δt, λ) of each step, and of the first velocity."""
-        motion = self.parameters.motion
-        rate = head_rates(track.input(HEAD_RATE), motion.head_rate)[1:]
-        moments = steered_step(np.diff(track.t), rate)
-        determinant = moments.place * moments.spread - moments.cross**2
-        steps = np.log((2.0 * np.pi * motion.acceleration_density) ** 2 * determinant)
-        return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
 
     def is_linear(self, packed: PackedTracks) -> bool:
         """False: the steered speed is not linear."""

@@ -89,11 +89,6 @@ class _OrientationDynamics(Term):
         turn = np.diff(getattr(states, self.name))
         return float(np.sum((1.0 - np.cos(turn)) / (self._diffusion * np.diff(track.t))))
 
-    def turns_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which is uniform."""
-        kappa = 1.0 / (self._diffusion * np.diff(track.t))
-        return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
-
     def pack(self, packed: PackedTracks) -> None:
         """κ between frames."""
         variance = packed.parameter(f"orientation.{self.name}_diffusion", self._diffusion) * packed.dt
@@ -111,7 +106,6 @@ class BodyDynamics(_OrientationDynamics):
     fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     scaled = (("body_turn_kappa", "orientation.body_diffusion", -1.0),)
     kernels = (_turning("body"),)
-    log_normaliser = _OrientationDynamics.turns_normaliser
 
 
 class HeadDynamics(_OrientationDynamics):
@@ -124,7 +118,6 @@ class HeadDynamics(_OrientationDynamics):
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     scaled = (("head_turn_kappa", "orientation.head_diffusion", -1.0),)
     kernels = (_turning("head"),)
-    log_normaliser = _OrientationDynamics.turns_normaliser
 
 
 @compiled
@@ -354,24 +347,6 @@ class _PoseLikelihood(Term):
             (f"observed_{self.name}_sin", math.sin(angle)),
         )
 
-    def observed_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log ∫ exp(−cost) of each observation: for mixtures, minus the constant in the cost."""
-        likelihood, n = self.parameters.likelihood, len(track)
-        angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
-        by_class = np.zeros(n, bool) if classes is None else np.isfinite(classes).all(axis=1)
-        total = 0.0
-        if classes is not None:
-            kappa = class_kappa(classes.shape[1])
-            highest = highest_log_density(kappa, likelihood.class_outlier_probability)
-            informative = classes[by_class].sum(axis=1) > 0.0
-            total -= float(np.sum(np.where(informative, highest, -np.log(2.0 * np.pi)) + 2.0 * kappa))
-        if angle is not None:
-            kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)[np.isfinite(angle) & ~by_class]
-            uniform = likelihood.outlier_probability
-            constant = highest_log_density(kappas, uniform) + (NOT_NEGATIVE if uniform > 0.0 else 0.0)
-            total -= float(np.sum(constant))
-        return total
-
     def pack(self, packed: PackedTracks) -> None:
         """Pack observed angles, or class likelihoods where there are some."""
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
@@ -414,7 +389,6 @@ class BodyLikelihood(_PoseLikelihood):
     reads = _reads("body")
     fields = _fields("body")
     kernels = _observed("body")
-    log_normaliser = _PoseLikelihood.observed_normaliser
 
 
 class HeadLikelihood(_PoseLikelihood):
@@ -426,7 +400,6 @@ class HeadLikelihood(_PoseLikelihood):
     reads = _reads("head")
     fields = _fields("head")
     kernels = _observed("head")
-    log_normaliser = _PoseLikelihood.observed_normaliser
 
 
 ANCHOR_KAPPA = 1e-6

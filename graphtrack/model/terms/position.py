@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera, apply_homography
 from graphtrack.kernels.compilation import compiled
@@ -51,21 +50,6 @@ def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters)
     if likelihood.robust == "cauchy":
         return gtsam.noiseModel.Robust.Create(estimators.Cauchy.Create(likelihood.robust_threshold), noise)
     return noise
-
-
-def _mass(likelihood: LikelihoodParameters) -> float:
-    """∫ exp(−ρ(d))·d dd from 0: the mass of the loss over that of a Gaussian in the plane."""
-    square = likelihood.robust_threshold**2
-    if likelihood.robust == "huber":
-        return 1.0 + float(np.exp(-0.5 * square)) / square
-    if likelihood.robust == "cauchy":
-        if square <= 2.0:
-            raise InputError(
-                f"likelihood.robust_threshold = {likelihood.robust_threshold:g} with the Cauchy loss",
-                "more than √2, below which it is no density",
-            )
-        return square / (square - 2.0)
-    return 1.0
 
 
 @compiled
@@ -216,19 +200,6 @@ class PositionLikelihood(Term):
             residual[observed] = (predicted - camera.undistort(track.pixel[observed])) / likelihood.pixel_std
         residual = residual[np.isfinite(residual).all(axis=1)]
         return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """log 2πσ² of each position, and the mass of robust tails; InputError for Cauchy with k² ≤ 2."""
-        likelihood = self.parameters.likelihood
-        std = likelihood.position_stds(track.position_std, len(track))
-        observed = np.isfinite(track.position).all(axis=1)
-        if likelihood.image_frame and track.pixel is not None and camera is not None:
-            in_image = np.isfinite(track.pixel).all(axis=1)
-            std[in_image] = likelihood.pixel_std
-            observed |= in_image
-        return float(
-            np.log(2.0 * np.pi * std[observed] ** 2).sum() + observed.sum() * np.log(_mass(likelihood))
-        )
 
     def is_linear(self, packed: PackedTracks) -> bool:
         """True without a robust loss and in metres."""
