@@ -51,7 +51,7 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
     code = """
 import numpy as np
 import graphtrack as gt
-from graphtrack import diagnostics, inference, simulation
+from graphtrack import constants, inference, simulation
 import graphtrack.cli.commands
 
 track = gt.Track(0, np.arange(4), np.arange(4) * 0.1, np.zeros((4, 2)))
