@@ -91,6 +91,10 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     as_read = None if rows.as_read is None else rows.as_read.without_identities()
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={}, as_read=as_read)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    declared = known_values(scene).get("position_std")
+    if declared is not None:
+        std = rows.channels.get("position_std", np.full(len(rows), np.nan))
+        rows = rows.with_channels(position_std=np.where(np.isnan(std), declared, std))
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
     return rows.keep(identity >= 0, FALSE).with_notes(note)
 

@@ -242,7 +242,7 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
     from graphtrack.model import Model
 
     given = Model.named(model)
-    tracks, learned, verdict = trusted(tracks, given, trust)
+    tracks, learned, verdict = trusted(tracks, given, trust, "default")
     for line in verdict:
         emit(f"  note: {line}")
     if model is None and learned.parameters != given.parameters:

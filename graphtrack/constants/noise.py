@@ -49,10 +49,10 @@ _PRIOR_STD = 3.0
 _PRIOR_PERSISTENT = 0.01
 """Probability of persistent errors."""
 
-STRETCH, APART, ROWS = 10.0, 0.1, 2000
-"""Seconds of a stretch, least seconds between its rows, and rows of all stretches: they bound the work."""
+STRETCHES, APART, ROWS = (10.0, 5.0, 2.5), 0.1, 2000
+"""Seconds of a stretch, shorter if there are few; least seconds between rows; rows of all stretches."""
 
-FEWEST_STRETCHES, FEWEST_OBSERVED = 4, 100
+FEWEST_STRETCHES, FEWEST_OBSERVED = 8, 100
 """Below these the noise is not learned."""
 
 _ROUNDS = 10
@@ -64,15 +64,20 @@ _OUTLIERS = 0.02
 
 def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> list[Track]:
     """Return stretches of the observed rows of tracks, evenly over all people, in the order of their ids."""
-    found: list[tuple[Track, NDArray[np.int64]]] = []
+    rows_of: list[tuple[Track, NDArray[np.int64]]] = []
     for track in sorted(tracks, key=lambda one: one.track_id):
         rows = np.flatnonzero(_observed(track, name, parameters))
         # One row in each interval.
         step = np.floor((track.t[rows] - track.t[0]) / APART + 1e-6)
-        rows = rows[np.diff(step, prepend=-1.0) > 0.0]
-        part = np.floor((track.t[rows] - track.t[0]) / STRETCH + 1e-6)
-        cuts = np.flatnonzero(np.diff(part)) + 1
-        found += [(track, some) for some in np.split(rows, cuts) if len(some) > 1]
+        rows_of.append((track, rows[np.diff(step, prepend=-1.0) > 0.0]))
+    for seconds in STRETCHES:
+        found = []
+        for track, rows in rows_of:
+            part = np.floor((track.t[rows] - track.t[0]) / seconds + 1e-6)
+            cuts = np.flatnonzero(np.diff(part)) + 1
+            found += [(track, some) for some in np.split(rows, cuts) if len(some) > 1]
+        if len(found) >= FEWEST_STRETCHES:
+            break
     every = max(1, round(sum(len(some) for _, some in found) / ROWS))
     return [track[some] for track, some in found[every // 2 :: every]]
 

@@ -200,7 +200,7 @@ def test_parameters_come_back_from_their_file(tmp_path):
     with pytest.raises(InputError, match="place_distance"):
         ForecastParameters.load(path)
     path.write_text("[motion]\nacceleration_density = 1\n")
-    with pytest.raises(InputError, match="motion"):
+    with pytest.raises(InputError, match="model file"):
         ForecastParameters.load(path)
 
 
