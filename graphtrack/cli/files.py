@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, print_table, printable, write_json, write_tracks
+from graphtrack.cli.console import console, emit, print_table, printable, write_json, write_tracks
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
-    from graphtrack.tracks.track import Track
+    from graphtrack.tracks.track import Track, TrackSet
 
 
 def info(
@@ -24,6 +25,7 @@ def info(
     model: str | None = None,
     json_path: options.Json = None,
     suggest: bool = False,
+    constants: bool = False,
 ) -> None:
     """Summarise a file: tracks, rates, gaps, channels, speeds, refused rows.
 
@@ -31,8 +33,10 @@ def info(
     ----------
     model : Model file (.toml) with the [scene] of people without identities.
     suggest : Print a command line that reads the file, derived from its columns.
+    constants : Learn and show the constants of each person, and the noise where none is declared.
     """
     if suggest:
+        options.refuse({"--constants": constants}, "with --suggest", "--suggest alone")
         _suggest(inputs, reading, json_path)
         return
     options.check_outputs({"--json": json_path}, reading.inputs(inputs, model))
@@ -44,6 +48,8 @@ def info(
     tracks = reading.tracks(inputs, scene=scene)
     most = len(tracks) if json_path is not None else _MOST_SHOWN
     rows = [describe(track) for track in islice(tracks, most)]
+    if constants:
+        _add_constants(rows, tracks)
     optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
     units = {"rate_hz": "Hz", "speed_m_s": "m/s"}
     headings = {name: units.get(name, name) for name in rows[0] if name not in optional} if rows else {}
@@ -52,6 +58,19 @@ def info(
     if len(tracks) > _MOST_SHOWN:
         emit(f"  note: only the first {_MOST_SHOWN:,} tracks are shown; --json writes all")
     write_json(json_path, rows)
+
+
+def _add_constants(rows: Sequence[dict[str, Any]], tracks: TrackSet) -> None:
+    """Learn the constants of each person, write them into the rows of tracks, and print the learned noise."""
+    from graphtrack.smoothing import learn_constants
+
+    with console.status("learning"):
+        _, people = learn_constants(tracks)
+    if noise := next((one.described_noise() for one in people.values()), ""):
+        emit(f"  noise, learned: {noise}")
+    for row, track in zip(rows, tracks, strict=False):
+        own = people.get(track.track_id)
+        row["constants"] = "" if own is None else own.described()
 
 
 def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:

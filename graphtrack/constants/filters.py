@@ -415,20 +415,34 @@ class Rules(NamedTuple):
 
 
 class Filters(NamedTuple):
-    """The filters of one person online, a row for each candidate; ``begun`` (1,) 1 after a position."""
+    """The filters of one person online, a row for each candidate, and what they say.
+
+    Attributes
+    ----------
+    path, body, head, coupled : rows of numbers, of the sizes `ROW_OF_PATH` and so on
+    begun : (1,) 1 after a position
+    shares : (c,) probabilities of the couplings
+    means : (3,) posterior means of the density of acceleration and of both diffusions
+    """
 
     path: FloatArray
     body: FloatArray
     head: FloatArray
     coupled: FloatArray
     begun: FloatArray
+    shares: FloatArray
+    means: FloatArray
 
     @classmethod
-    def new(cls, rules: Rules) -> Filters:
-        """Return the filters of a person before an observation."""
-        turns = np.zeros((2, len(rules.diffusions), ROW_OF_ANGLE))
-        coupled = np.zeros((len(rules.couplings), ROW_OF_COUPLING))
-        return cls(np.zeros((len(rules.densities), ROW_OF_PATH)), turns[0], turns[1], coupled, np.zeros(1))
+    def of(cls, rules: Rules) -> tuple[Filters, FloatArray]:
+        """Return the filters of a person before an observation, and their memory, all numbers in a row."""
+        q, d, c = len(rules.densities), len(rules.diffusions), len(rules.couplings)
+        turns = (d, ROW_OF_ANGLE)
+        shapes = ((q, ROW_OF_PATH), turns, turns, (c, ROW_OF_COUPLING), (1,), (c,), (3,))
+        ends = np.cumsum([math.prod(shape) for shape in shapes])
+        memory = np.zeros(ends[-1])
+        parts = np.split(memory, ends[:-1])
+        return cls(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))), memory
 
 
 @inner
@@ -455,13 +469,13 @@ def mean_of(values: Any, shares: Any) -> float:
 
 
 @compiled
-def observe(filters: Filters, rules: Rules, row: Any, memory: Any, shares: Any, found: Any) -> None:
+def observe(filters: Filters, rules: Rules, row: Any, memory: Any) -> None:
     """Take an observation into the filters of a person.
 
     ``row`` (8,) is the time since the previous in seconds, x, y, variance, body, its κ, head, its κ; NaN or 0
-    without. Written are ``found`` (3,), the posterior means of density and diffusions, and ``shares`` (c,),
-    the probabilities of the couplings. ``memory`` (candidates,) is overwritten.
+    without. ``memory`` (candidates,) is overwritten.
     """
+    shares, found = filters.shares, filters.means
     dt, x, y, variance, angles = row[0], row[1], row[2], row[3], row[4:8]
     is_placed = math.isfinite(x) and math.isfinite(y)
     for k in range(len(rules.densities)):
@@ -534,7 +548,7 @@ REHEARSAL = Rehearsal("learned constants", _rehearse, 5.0)
 def _rehearse_online() -> None:
     one = np.ones(1)
     rules = Rules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, 0.0)
-    observe(Filters.new(rules), rules, np.ones(8), np.zeros(1), np.zeros(1), np.zeros(3))
+    observe(Filters.of(rules)[0], rules, np.ones(8), np.zeros(1))
 
 
 ONLINE_REHEARSAL = Rehearsal("learned constants online", _rehearse_online, 4.0)

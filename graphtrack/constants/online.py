@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -48,14 +47,17 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import SAME_TIME
-from graphtrack.saved import DAMAGES, damaged, pack_tree, real, unpack_tree
+from graphtrack.saved import DAMAGES, damaged, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
-_RULED_OUT = 0.01
-"""Probability of an alternative below which it is dropped."""
+_RULED_OUT = 0.05
+"""Probability of an alternative below which it is not solved."""
 
-_FAR_MORE_PROBABLE = 2.0
-"""Ratio of probabilities from which the one alternative of ``isam2`` is exchanged."""
+_CHANGED = 1.5
+"""Factor of a constant from which the steps of the window are solved again with the present ones."""
+
+_MISSED = 0.1
+"""Probability of all solved alternatives below which the plausible ones come back."""
 
 
 @lru_cache(64)
@@ -87,7 +89,6 @@ class Learner:
     Attributes
     ----------
     alternatives : the couplings that are possible
-    weights : (k,) their probabilities
     """
 
     def __init__(self, model: Model, prior: Population) -> None:
@@ -98,9 +99,10 @@ class Learner:
             for one in self.alternatives
         )
         self.prior = prior
-        self._filters, self._t = Filters.new(self._rules), math.nan
-        self._memory, self._means = np.zeros(max(len(DENSITIES), len(DIFFUSIONS))), np.zeros(3)
-        self.weights = prior.coupling_of(self.alternatives)
+        self._filters, self._numbers = Filters.of(self._rules)
+        self._filters.shares[:] = prior.coupling_of(self.alternatives)
+        self._t, self._memory = math.nan, np.zeros(max(len(DENSITIES), len(DIFFUSIONS)))
+        self._before = self._numbers, self._t
 
     @property
     def prior(self) -> Population:
@@ -121,19 +123,22 @@ class Learner:
         row = [0.0 if math.isnan(self._t) else t - self._t, x, y, std * std]
         row += _direction_of(observation, "body", self._parameters)
         row += _direction_of(observation, "head", self._parameters)
-        observe(self._filters, self._rules, np.array(row), self._memory, self.weights, self._means)
+        self._before = self._numbers.copy(), self._t
+        observe(self._filters, self._rules, np.array(row), self._memory)
         self._t = t
 
-    def copied(self) -> Learner:
-        """Return a copy with a memory of its own."""
-        other = copy(self)
-        other._filters = Filters(*(rows.copy() for rows in self._filters))
-        other.weights, other._means = self.weights.copy(), self._means.copy()
-        return other
+    def forget(self) -> None:
+        """Forget the newest observation."""
+        self._numbers[:], self._t = self._before
+
+    @property
+    def weights(self) -> FloatArray:
+        """Probabilities (k,) of the couplings."""
+        return self._filters.shares
 
     def own(self, alternative: int) -> OwnParameters:
         """Return the parameters of a new step under an alternative."""
-        density, body, head = self._means.tolist()
+        density, body, head = self._filters.means.tolist()
         return OwnParameters(density, body, head, *self._couplings[alternative])
 
     @property
@@ -141,7 +146,7 @@ class Learner:
         """The constants, as far as they are known."""
         names = (one.name for one in self.alternatives)
         coupling = dict(zip(names, self.weights.tolist(), strict=True))
-        density, body, head = self._means.tolist()
+        density, body, head = self._filters.means.tolist()
         return PersonalConstants(density, body, head, coupling)
 
     def evidence(self) -> Evidence:
@@ -155,14 +160,11 @@ class Learner:
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data."""
-        arrays = {**self._filters._asdict(), "weights": self.weights, "means": self._means}
-        return {"t": self._t if math.isfinite(self._t) else None, "filters": pack_tree(arrays)}
+        return {"t": self._t if math.isfinite(self._t) else None, "numbers": packed(self._numbers)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`; an error of `DAMAGES` for other data."""
-        arrays = unpack_tree(state["filters"])
-        for name, rows in {**self._filters._asdict(), "weights": self.weights, "means": self._means}.items():
-            rows[:] = arrays[name].reshape(rows.shape)
+        self._numbers[:] = unpacked(state["numbers"])
         self._t = math.nan if state["t"] is None else real(state["t"])
 
 
@@ -258,8 +260,8 @@ class OnlineSmoother:
         # Number of an alternative → its solver; without learned constants there is one.
         self._solvers = {k: OnlineSolver(chosen, **self._options) if n else first for n, k in enumerate(some)}
         self._last: Estimate | None = None
-        # The learner before the newest observation, in case that no solver can use it.
-        self._before: Learner | None = None
+        # Whether the newest observation was learned from.
+        self._is_learned = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
@@ -345,31 +347,32 @@ class OnlineSmoother:
     def _learn(self, observation: Observation) -> None:
         """Learn from an observation, unless it is late, and drop the alternatives that it rules out."""
         window, learner = self.window, self.learner
-        self._before = None
+        self._is_learned = False
         if learner is None or (window is None and observation.position is None):
             return
         if window is not None and observation.t - window[1] < SAME_TIME:
             return
-        self._before = learner.copied()
+        self._is_learned = True
         learner.observe(observation)
-        if len(learner.weights) == 1:
-            return
-        likely = int(np.argmax(learner.weights))
-        if self.engine == "isam2":
-            ((present, solver),) = self._solvers.items()
-            if learner.weights[likely] > _FAR_MORE_PROBABLE * learner.weights[present]:
-                one = learner.own(likely)
-                solver.with_couplings(one.motion_body_kappa, one.head_body_kappa)
-                self._solvers = {likely: solver}
-            return
-        if likely in self._solvers and len(self._solvers) > 1:
-            kept = {k: one for k, one in self._solvers.items() if learner.weights[k] >= _RULED_OUT}
-            self._solvers = kept or self._solvers
+        weights, solvers = learner.weights, self._solvers
+        plausible = [int(np.argmax(weights))]
+        if self.engine != "isam2":
+            plausible = np.flatnonzero(weights >= _RULED_OUT).tolist()
+        if sum(weights[k] for k in solvers) < _MISSED:
+            state = self._best.state()
+            self._solvers = {
+                k: solvers.get(k) or OnlineSolver.from_state(state, self._chosen, **self._options)
+                for k in plausible
+            }
+        elif len(solvers) > 1:
+            self._solvers = {k: one for k, one in solvers.items() if k in plausible} or solvers
+        for k, solver in self._solvers.items():
+            solver.with_own(learner.own(k), _CHANGED)
 
     def _combined(self, estimates: Sequence[Estimate]) -> Estimate:
         """Return the mean of the estimates of the alternatives, with the status of the most probable."""
-        if self._before is not None and all(one.status == "failed" for one in estimates):
-            self.learner = self._before
+        if self.learner and self._is_learned and all(one.status == "failed" for one in estimates):
+            self.learner.forget()
         if len(estimates) == 1 or self.learner is None:
             self._last = _kept(estimates[0], self._last)
             return estimates[0]

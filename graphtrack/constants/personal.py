@@ -50,17 +50,17 @@ from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion
 from graphtrack.tracks.track import Track, TrackSet
 
-LEARNED, FEWEST_LEARNED = 100_000, 100
+LEARNED, FEWEST_LEARNED = 50_000, 50
 """Person-frames from which motion and turning are learned, shared by the people, and those of each in any
 case: they bound the time."""
-JUDGED, FEWEST_JUDGED = 20_000, 25
+JUDGED, FEWEST_JUDGED = 10_000, 12
 """The same of couplings, which need a solution each."""
 
 SHOWN, _THRESHOLD = 0.002, 5.0
 """Share of gross errors among the positions from which their loss is robust, and its threshold in standard
 deviations."""
 
-_NEGLIGIBLE = 0.01
+_NEGLIGIBLE = 0.02
 """Probability of a coupling below which it is left out of a person's estimate."""
 
 _UNDETERMINED = 0.9 * UNIFORM_STD**2

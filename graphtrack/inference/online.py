@@ -49,7 +49,7 @@ from graphtrack.inference.state import (
 )
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
-from graphtrack.model.observation import OwnParameters, seconds_between
+from graphtrack.model.observation import OwnParameters, differs, seconds_between
 from graphtrack.model.same_time import SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
@@ -290,23 +290,23 @@ class OnlineSolver:
         self._parts = parts
         return self._estimate(newest, latest, "late")
 
-    def with_couplings(self, motion_body_kappa: float, head_body_kappa: float) -> Estimate | None:
-        """Solve the window again with other couplings of its steps' own parameters; return the estimate."""
-        window = self._smoother.window()
-        if not window.steps:
-            return None
-        steps: list[Step] = []
+    def with_own(self, own: OwnParameters, least: float = 1.0) -> None:
+        """Solve the window again with other parameters of its person in all steps.
+
+        Parameters
+        ----------
+        least : factor by which a parameter of the oldest step has to differ, else nothing is done
+        """
+        given = self._smoother.steps
+        if not given or not differs(given[0].own, own, least):
+            return
+        window, steps = self._smoother.window(), list[Step]()
         for step in window.steps:
-            own = step.own and step.own._replace(
-                motion_body_kappa=motion_body_kappa, head_body_kappa=head_body_kappa
-            )
             steps.append(replace(step, own=own, previous=steps[-1].alone() if steps else None))
-        latest = steps[-1].observation
         try:
-            newest = self._smoother.rework(replace(window, steps=tuple(steps)))
+            self._smoother.rework(replace(window, steps=tuple(steps)))
         except FAILURES as error:
-            return self._failed(latest, error)
-        return self._estimate(newest, latest, "new")
+            self._failed(steps[-1].observation, error)
 
     def _with_parts(self, step: Step, observations: Parts, parts: dict[int, Parts]) -> Step:
         """Return a step with the product of some observations of its time, which are noted in ``parts``."""

@@ -91,6 +91,16 @@ class OwnParameters(NamedTuple):
         return dict(zip(OWN, self, strict=True))
 
 
+def differs(one: OwnParameters | None, two: OwnParameters, least: float) -> bool:
+    """Return whether a parameter differs by more than a factor, or is 0 for one alone."""
+    if one is None:
+        return True
+    for a, b in zip(one, two, strict=True):  # noqa: SIM110  # a third of the time of any()
+        if a > least * b or b > least * a:
+            return True
+    return False
+
+
 OWN = (
     "motion.acceleration_density",
     "orientation.body_diffusion",

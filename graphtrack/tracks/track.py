@@ -9,7 +9,7 @@ from __future__ import annotations
 import fnmatch
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from operator import index
 from types import MappingProxyType
@@ -234,9 +234,7 @@ class Track:
         if isinstance(index, int | np.integer):
             raise InputError(f"track[{index}]", f"frames, such as track[{index}:{int(index) + 1}]")
         parts: dict[str, Any] = {
-            f.name: getattr(self, f.name)[index]
-            for f in fields(self)
-            if isinstance(getattr(self, f.name), np.ndarray)
+            name: value[index] for name, value in vars(self).items() if isinstance(value, np.ndarray)
         }
         parts["inputs"] = {name: value[index] for name, value in self.inputs.items()}
         if isinstance(index, slice) and len(parts["t"]) and (index.step is None or index.step > 0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,10 +63,26 @@ def test_who_faces_the_path_is_told_from_who_does_not(engine: Any) -> None:
 
 
 def test_alternatives_that_are_ruled_out_are_dropped() -> None:
-    smoother, _ = followed(walker(1, n=20))
+    smoother, _ = followed(walker(1, n=3))
     assert len(smoother._solvers) == 4
     smoother, _ = followed(sideways(2, n=150))
     assert len(smoother._solvers) < 4
+
+
+def test_an_alternative_that_was_ruled_out_comes_back() -> None:
+    """Somebody who walks ahead for long, and then sideways."""
+    first, second = walker(1, n=150, turn=0.1), sideways(2, n=400)
+    shift = first.position[np.isfinite(first.position[:, 0])][-1]
+    later = replace(second, t=second.t + first.t[-1] + 0.1, position=second.position + shift)
+    smoother = OnlineSmoother()
+    for one in observations(first):
+        smoother.update(one)
+    ahead = set(smoother._solvers)
+    for one in observations(later):
+        smoother.update(one)
+    assert not set(smoother._solvers) <= ahead
+    coupling = smoother.constants.coupling
+    assert max(coupling, key=coupling.get) in ("free", "head follows body")
 
 
 @pytest.mark.parametrize("engine", ["chain", "fixed-lag"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -272,3 +274,14 @@ def test_the_command_prints_the_constants_and_refuses_others(cwd) -> None:
     for wrong in (["--constants", "lern"], ["--constants", "learn", "--model", "intentional"]):
         done = run("smooth", "walks.csv", "-o", "no.csv", *wrong, program="graphtrack")
         assert done.returncode == 2 and "constants" in done.stderr
+
+
+def test_info_shows_the_constants_of_each_person(tmp_path: Path) -> None:
+    people = mixed(4).map(lambda track: replace(track, position_std=None))
+    gt.write(people, tmp_path / "seen.csv")
+    out = ("--constants", "--json", tmp_path / "out.json")
+    done = ran("info", tmp_path / "seen.csv", *out, program="graphtrack")
+    assert "noise, learned: positions 0." in done.stderr
+    _, learned_by = gt.smoothing.learn_constants(gt.read(tmp_path / "seen.csv"))
+    rows = json.loads((tmp_path / "out.json").read_text("utf-8"))
+    assert [row["constants"] for row in rows] == [one.described() for one in learned_by.values()]
