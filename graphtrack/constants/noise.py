@@ -31,6 +31,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
 from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import Parameters, range_of
+from graphtrack.model.same_time import SAME_TIME
 from graphtrack.packages import special
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -68,12 +69,12 @@ def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> 
     for track in sorted(tracks, key=lambda one: one.track_id):
         rows = np.flatnonzero(_observed(track, name, parameters))
         # One row in each interval.
-        step = np.floor((track.t[rows] - track.t[0]) / APART + 1e-6)
+        step = np.floor((track.t[rows] - track.t[0] + SAME_TIME) / APART)
         rows_of.append((track, rows[np.diff(step, prepend=-1.0) > 0.0]))
     for seconds in STRETCHES:
         found = []
         for track, rows in rows_of:
-            part = np.floor((track.t[rows] - track.t[0]) / seconds + 1e-6)
+            part = np.floor((track.t[rows] - track.t[0] + SAME_TIME) / seconds)
             cuts = np.flatnonzero(np.diff(part)) + 1
             found += [(track, some) for some in np.split(rows, cuts) if len(some) > 1]
         if len(found) >= FEWEST_STRETCHES:

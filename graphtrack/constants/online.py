@@ -2,7 +2,7 @@
 
 The observations so far, each predicted from those before, are the evidence of constants (see `filters`). A
 new step has their posterior means. The ways in which orientations can follow the motion are solved side by
-side, with the engines ``chain`` and ``fixed-lag``; one that is ruled out is dropped. With ``isam2`` the most
+side, with the engines ``chain`` and ``fixed-lag``; one that is ruled out is not. With ``isam2`` the most
 probable one is solved.
 """
 

@@ -80,6 +80,11 @@ def _party(settings: Settings) -> TrackSet | None:
     return recording.map(lambda track: track[np.flatnonzero(track.t >= 1000.0)])
 
 
+def _street(settings: Settings) -> TrackSet | None:
+    """Somebody whom a car passes."""
+    return settings.tracks("kitti", "label_02", "0012.txt")
+
+
 def _simulated(settings: Settings, habits: StrollerParameters) -> TrackSet:
     return strollers(settings.rng(41, _STREAM), habits, people=settings.few(16, 2))
 
@@ -96,6 +101,7 @@ SOURCES: Mapping[str, Callable[[Settings], TrackSet | None]] = {
     "crowd": partial(_file, name="citr"),
     "crossing, filmed": partial(_file, name="vru"),
     "party": _party,
+    "street": _street,
     "simulated, glances": partial(_simulated, habits=StrollerParameters()),
     "simulated, side-steps": partial(_simulated, habits=StrollerParameters(sidesteps_per_minute=3.0)),
     "simulated, crossing": _crossing,

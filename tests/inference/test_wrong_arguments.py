@@ -98,7 +98,7 @@ def test_options_out_of_range_are_refused(kind: type, name: str, value: object) 
 
 
 def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> None:
-    (failed,) = gt.solve(track(position_std=np.full(N, 1e8)), "joint")
+    (failed,) = gt.solve(track(position_std=np.full(N, 1e8)), "joint", constants="default")
     assert failed.reason == (
         "the estimate is not finite: position_std = 1e+08 in frame 0, expected 0.0001 to 1000"
     )
