@@ -53,7 +53,7 @@ _PRIOR_PERSISTENT = 0.01
 STRETCHES, APART, ROWS = (10.0, 5.0, 2.5), 0.1, 2000
 """Seconds of a stretch, shorter if there are few; least seconds between rows; rows of all stretches."""
 
-FEWEST_STRETCHES, FEWEST_OBSERVED = 8, 100
+FEWEST_STRETCHES, FEWEST_OBSERVED = 4, 100
 """Below these the noise is not learned."""
 
 _ROUNDS = 10
@@ -77,7 +77,7 @@ def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> 
             part = np.floor((track.t[rows] - track.t[0] + SAME_TIME) / seconds)
             cuts = np.flatnonzero(np.diff(part)) + 1
             found += [(track, some) for some in np.split(rows, cuts) if len(some) > 1]
-        if len(found) >= FEWEST_STRETCHES:
+        if len(found) >= 2 * FEWEST_STRETCHES:
             break
     every = max(1, round(sum(len(some) for _, some in found) / ROWS))
     return [track[some] for track, some in found[every // 2 :: every]]
