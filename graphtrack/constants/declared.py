@@ -16,7 +16,7 @@ import numpy as np
 from graphtrack.constants.noise import (
     SPREADS,
     NoiseEvidence,
-    judged_in_image,
+    any_in_image,
     noise_evidence,
     scaled,
     undeclared,
@@ -38,6 +38,10 @@ SURE = 0.999  # Probability of the intervals against which a declaration is test
 
 BLOCKS = 20
 """Blocks of people that the jackknife leaves out, one at a time."""
+
+
+_WIDEST = 10.0
+"""Largest half width of an interval, in the logarithm of the multiplier."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,6 @@ def multiplier_of(found: NoiseEvidence) -> Multiplier:
     low, high = math.exp(value - half), math.exp(value + half)
     return Multiplier(math.exp(value), low, high, max(found.persistent.along, found.persistent.across))
 
-
-_WIDEST = 10.0
 
 BASE = 1.0  # Seconds over which the direction of motion is measured
 
@@ -306,7 +308,7 @@ def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ())
             continue
         given = any(getattr(track, spread) is not None for track in tracks)
         column = {"position_std": "pos_std"}.get(spread, spread) if given else f"likelihood.{spread}"
-        if name == "position" and any(judged_in_image(track, model, tracks.camera) for track in tracks):
+        if name == "position" and any_in_image(tracks, model.parameters):
             column = "likelihood.pixel_std"
         multiplier = None if evidence is None else multiplier_of(evidence)
         found.append(ChannelNoise(name, multiplier, bias, column))

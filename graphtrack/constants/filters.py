@@ -90,11 +90,16 @@ def _along_and_across(track: Track, camera: GroundCamera | None) -> FloatArray:
     return position @ np.column_stack([unit(bearing), unit(bearing + 0.5 * math.pi)])
 
 
+def is_in_image(track: Track, parameters: Parameters, camera: GroundCamera | None) -> bool:
+    """Return whether a track's positions are judged in the image."""
+    return camera is not None and track.pixel is not None and parameters.likelihood.image_frame
+
+
 def position_variance(track: Track, parameters: Parameters, camera: GroundCamera | None) -> FloatArray:
     """Return the variances (n,) of positions, m², the mean of both axes."""
     likelihood = parameters.likelihood
     variance = likelihood.position_stds(track.position_std, len(track)) ** 2
-    if camera is not None and track.pixel is not None and likelihood.image_frame:
+    if camera is not None and track.pixel is not None and is_in_image(track, parameters, camera):
         squares = np.square(camera.ground_jacobian(track.pixel)).sum(axis=(1, 2))
         in_image = np.isfinite(squares)
         variance[in_image] = 0.5 * likelihood.pixel_std**2 * squares[in_image]

@@ -2,10 +2,10 @@
 
 Multiples of the 1-σ are candidates, each with the constants of motion and turning that suit each person. The
 errors of a detector also persist: a box leans to one side for some steps, or for as long as a person is in
-sight. What is seen to persist for up to a second is taken to be as large as what lasts, which no track can
-show: each person's positions have an offset, a variable of the graph with a Gaussian prior. Nothing else
-depends on where a person is, so that the estimates are the same with it, and its prior adds to the
-covariances of the positions.
+sight. No track shows an error that lasts as long. It is taken to be as large as the white and the persistent
+errors together (as in flicker noise): each person's positions have an offset, a variable of the graph with a
+Gaussian prior. Nothing else depends on where a person is, so that the estimates are the same with it, and its
+prior adds to the covariances of the positions.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from graphtrack.constants.filters import (
     Persistent,
+    is_in_image,
     motion_evidence,
     observed_direction,
     position_variance,
@@ -132,10 +133,8 @@ def noise_evidence(
         return NoiseEvidence(positions.log_density(persistent), numbers, persistent)
     outliers = max(parameters.likelihood.outlier_probability, _OUTLIERS)
     likelihood = replace(parameters.likelihood, outlier_probability=outliers)
-    parameters, shares = (
-        replace(parameters, likelihood=likelihood),
-        getattr(Population(), f"{name}_diffusion"),
-    )
+    parameters = replace(parameters, likelihood=likelihood)
+    shares = getattr(Population(), f"{name}_diffusion")
     densities = [
         _marginal(turning_evidence(some, name, scaled(parameters, name, one), DIFFUSIONS), shares, DIFFUSIONS)
         for one in MULTIPLES.tolist()
@@ -183,23 +182,18 @@ class _Positions:
         place = max(starts, key=total)
         if total(place) + math.log(_PRIOR_PERSISTENT / len(starts)) < best:
             return Persistent()
+        # Without a camera both axes are alike.
+        axes = [(0, 1, 1)] if self._camera is None else [(0, 1, 0), (0, 0, 1)]
+        moves = [sign * np.array(axis) for axis in [(1, 0, 0), *axes] for sign in (-1, 1)]
+        lowest, highest = np.array([0, -1, -1]), np.array([len(MULTIPLES), *[len(PERSISTENT)] * 2])
         while True:
-            multiple, along, across = place
-            near = [(multiple + step, along, across) for step in (-1, 1)]
-            if self._camera is None:
-                near += [(multiple, along + step, along + step) for step in (-1, 1)]
-            else:
-                near += [(multiple, along + step, across) for step in (-1, 1)]
-                near += [(multiple, along, across + step) for step in (-1, 1)]
-            inside = [
-                (m, one, two)
-                for m, one, two in near
-                if 0 <= m < len(MULTIPLES) and min(one, two) >= -1 and max(one, two) < len(PERSISTENT)
-            ]
+            near = [np.array(place) + move for move in moves]
+            inside = [tuple(one.tolist()) for one in near if ((one >= lowest) & (one < highest)).all()]
             better = max(inside, key=total)
             if total(better) <= total(place):
                 break
             place = better
+        multiple, along, across = place
         places = range(-1, len(PERSISTENT))
         if self._camera is None:
             both = _mean(np.array([total((multiple, k, k)) for k in places]))
@@ -263,9 +257,9 @@ SPREADS = {"position": "position_std", "body": "body_kappa", "head": "head_kappa
 """The channel, and the parameter, of the noise that is declared."""
 
 
-def judged_in_image(track: Track, model: Model, camera: GroundCamera | None) -> bool:
-    """Return whether a track's positions are judged in the image."""
-    return camera is not None and track.pixel is not None and model.parameters.likelihood.image_frame
+def any_in_image(tracks: TrackSet, parameters: Parameters) -> bool:
+    """Return whether positions of some tracks are judged in the image."""
+    return any(is_in_image(track, parameters, tracks.camera) for track in tracks)
 
 
 def undeclared(tracks: TrackSet, model: Model) -> tuple[str, ...]:
@@ -284,7 +278,7 @@ def undeclared(tracks: TrackSet, model: Model) -> tuple[str, ...]:
 
 
 def _declares(track: Track, name: str, model: Model, camera: GroundCamera | None) -> bool:
-    if name == "position" and judged_in_image(track, model, camera):
+    if name == "position" and is_in_image(track, model.parameters, camera):
         return False
     spread = getattr(track, SPREADS[name])
     by_class = getattr(track, f"{name}_likelihood", None) is not None
@@ -301,7 +295,7 @@ def with_learned_noise(population: Population, tracks: TrackSet, model: Model) -
         if name != "position":
             changes[f"{name}_noise"] = math.exp(found.peak()[0])
             continue
-        if any(judged_in_image(track, model, tracks.camera) for track in tracks):
+        if any_in_image(tracks, model.parameters):
             changes["pixel_noise"] = math.exp(found.peak()[0])
             other = noise_evidence(tracks.tracks, name, on_the_ground(model.parameters), tracks.camera)
             if other is not None and other.most > found.most:
@@ -365,8 +359,7 @@ def learned_stds(
         if name != "position":
             found[f"{name}_std"] = getattr(likelihood, f"{name}_kappa") ** -0.5
             continue
-        in_image = any(judged_in_image(track, model, tracks.camera) for track in tracks)
-        spread = "pixel_std" if in_image else "position_std"
+        spread = "pixel_std" if any_in_image(tracks, model.parameters) else "position_std"
         found[spread] = getattr(likelihood, spread)
         if offset.is_any:
             found |= {"offset_along": offset.along, "offset_across": offset.across}

@@ -260,8 +260,6 @@ class OnlineSmoother:
         # Number of an alternative → its solver; without learned constants there is one.
         self._solvers = {k: OnlineSolver(chosen, **self._options) if n else first for n, k in enumerate(some)}
         self._last: Estimate | None = None
-        # Whether the newest observation was learned from.
-        self._is_learned = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
@@ -335,24 +333,29 @@ class OnlineSmoother:
         solvers: list[OnlineSolver] = []
         given: list[Observation] = []
         own: list[OwnParameters | None] = []
+        learned: list[bool] = []
         for smoother, observation in zip(smoothers, observations, strict=True):
-            smoother._learn(observation)
+            learned.append(smoother._learn(observation))
             for k, solver in smoother._solvers.items():
                 solvers.append(solver)
                 given.append(observation)
                 own.append(None if smoother.learner is None else smoother.learner.own(k))
         found = iter(OnlineSolver.update_together(solvers, given, threads, own))
-        return [smoother._combined([next(found) for _ in smoother._solvers]) for smoother in smoothers]
+        answers: list[Estimate] = []
+        for smoother, is_new in zip(smoothers, learned, strict=True):
+            estimates = [next(found) for _ in smoother._solvers]
+            if smoother.learner is not None and is_new and all(one.status == "failed" for one in estimates):
+                smoother.learner.forget()
+            answers.append(smoother._combined(estimates))
+        return answers
 
-    def _learn(self, observation: Observation) -> None:
-        """Learn from an observation, unless it is late, and drop the alternatives that it rules out."""
+    def _learn(self, observation: Observation) -> bool:
+        """Learn from an observation, and solve the alternatives that are plausible; False if it is late."""
         window, learner = self.window, self.learner
-        self._is_learned = False
         if learner is None or (window is None and observation.position is None):
-            return
+            return False
         if window is not None and observation.t - window[1] < SAME_TIME:
-            return
-        self._is_learned = True
+            return False
         learner.observe(observation)
         weights, solvers = learner.weights, self._solvers
         plausible = [int(np.argmax(weights))]
@@ -368,11 +371,10 @@ class OnlineSmoother:
             self._solvers = {k: one for k, one in solvers.items() if k in plausible} or solvers
         for k, solver in self._solvers.items():
             solver.with_own(learner.own(k), _CHANGED)
+        return True
 
     def _combined(self, estimates: Sequence[Estimate]) -> Estimate:
         """Return the mean of the estimates of the alternatives, with the status of the most probable."""
-        if self.learner and self._is_learned and all(one.status == "failed" for one in estimates):
-            self.learner.forget()
         if len(estimates) == 1 or self.learner is None:
             self._last = _kept(estimates[0], self._last)
             return estimates[0]

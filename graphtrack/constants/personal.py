@@ -160,7 +160,9 @@ def solve_learned(
         model = with_robust_loss(model)
     alternatives = alternatives_of(model)
     if len(alternatives) > 1:
-        found, weights, shares = _over_couplings(tracks, model, solve, motion, shares, population, progress)
+        found, weights, shares = _over_couplings(
+            tracks, model, solve, motion, shares, population is not None, progress
+        )
     else:
         found, weights = solve(tracks, model, motion, progress), np.ones((len(tracks), 1))
     answers: list[Solution | Failure] = []
@@ -179,10 +181,13 @@ def _over_couplings(
     solve: Solve,
     motion: dict[str, FloatArray],
     shares: Population,
-    population: Population | None,
+    known: bool,
     progress: Progress | None,
 ) -> tuple[list[Solution | Failure], FloatArray, Population]:
-    """Return the averages over the couplings, the couplings' probabilities (m, k), and the population."""
+    """Return the averages over the couplings, the couplings' probabilities (m, k), and the population.
+
+    Its shares of couplings are learned unless they are ``known``.
+    """
     alternatives = alternatives_of(model)
     judged = _middles(tracks, JUDGED, FEWEST_JUDGED)
     found: list[Sequence[Solution | Failure | None]] = [
@@ -197,7 +202,7 @@ def _over_couplings(
         outliers = model.parameters.likelihood.outlier_probability
         for k, part in enumerate(found):
             evidence[kept, k] = leave_one_out(given, [_track_of(part[m]) for m in kept], outliers)
-    if population is None:
+    if not known:
         prior = learned(evidence[kept], tuple(prior.tolist()), shares.people, None)
         shares = shares.with_coupling(alternatives, prior)
     weights = posterior(evidence, prior)

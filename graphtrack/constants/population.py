@@ -62,8 +62,10 @@ class Evidence(NamedTuple):
 
 
 _SHARES = Evidence._fields
-_NOISE = ("position_noise", "pixel_noise", "body_noise", "head_noise", "along", "across")
-_NUMBERS = ("people", "gross_errors", *_NOISE)
+_NUMBERS = (
+    *("people", "gross_errors", "position_noise", "pixel_noise", "body_noise", "head_noise"),
+    *("along", "across"),
+)
 
 
 @dataclass(frozen=True)

@@ -127,16 +127,22 @@ class PersonalConstants:
 
     def described_noise(self) -> str:
         """Return the learned noise; empty if it was declared."""
-        shown = {
-            "position_std": "positions {:.2g} m",
-            "pixel_std": "foot points {:.2g} pixels",
-            "offset_along": "lasting {:.2g} m along",
-            "offset_across": "{:.2g} m across the camera's ray",
-        }
-        return ", ".join(
-            shown[name].format(value) if name in shown else f"{name[:4]} {math.degrees(value):.0f}°"
-            for name, value in self.noise.items()
-        )
+        own = self.noise
+        along, across = own.get("offset_along"), own.get("offset_across")
+        parts = [
+            f"positions {own['position_std']:.2g} m" if "position_std" in own else "",
+            f"foot points {own['pixel_std']:.2g} pixels" if "pixel_std" in own else "",
+        ]
+        if along is not None and along == across:
+            parts.append(f"lasting {along:.2g} m")
+        elif along is not None:
+            parts.append(f"lasting {along:.2g} m along, {across:.2g} m across the camera's ray")
+        parts += [
+            f"{name} {math.degrees(own[f'{name}_std']):.0f}°"
+            for name in ("body", "head")
+            if f"{name}_std" in own
+        ]
+        return ", ".join(filter(None, parts))
 
     def described(self) -> str:
         """Return the constants in units that a reader knows."""

@@ -290,7 +290,7 @@ class OnlineSolver:
         self._parts = parts
         return self._estimate(newest, latest, "late")
 
-    def with_own(self, own: OwnParameters, least: float = 1.0) -> None:
+    def with_own(self, own: OwnParameters, least: float) -> None:
         """Solve the window again with other parameters of its person in all steps.
 
         Parameters
