@@ -24,6 +24,7 @@ from graphtrack.association.likelihood import (
     ending,
     follow,
     head_worth,
+    is_new,
     is_within,
     missed,
     reach,
@@ -40,6 +41,9 @@ Flags = NDArray[np.bool_]
 
 _WORTH_OF_VELOCITY = 12.0
 """Greatest log likelihood that a track's following detections gain by a known position and velocity."""
+
+_WORTH_OF_PRIOR = 5.0
+"""Bound of the log of a Gaussian's density over that of the prior of velocities, beyond its ends."""
 
 _SMALLEST_CELL = 0.5  # metres
 
@@ -142,13 +146,15 @@ def near_detections(
         soon, latest = max(spans[0] - t, 0.0), min(spans[1] - t, longest)
         if not shape[0] or latest <= 0.0 or soon > longest:
             continue
-        least = spread_after(soon, state, spans[3], scene) if state[5] >= 0.0 else spans[3]
+        narrow = not is_new(state) and state[5] >= 0.0  # so that the variance grows with time
+        least = spread_after(soon, state, spans[3], scene) if narrow else spans[3]
         bound = bounds[g] + missed(shape[3] - frame - 1, scene) - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
         # The variance is a convex function of time.
         far = max(reach(state, soon, spans[2], scene), reach(state, latest, spans[2], scene))
-        far *= min(math.sqrt(2.0 * bound) / GATE, 1.0)
+        if not is_new(state):
+            far *= min(math.sqrt(2.0 * bound) / GATE, 1.0)
         more_x, more_y = state[2] * (latest - soon), state[3] * (latest - soon)
         x, y = state[0] + state[2] * soon, state[1] + state[3] * soon
         low_x, high_x = x + min(more_x, 0.0) - far, x + max(more_x, 0.0) + far
@@ -188,13 +194,21 @@ def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray
     ``skipped``: `missed`, of gaps of 0, 1 … frames
     """
     dt = later.t - earlier.t
+    off_x, off_y = later.x - before[0] - dt * before[2], later.y - before[1] - dt * before[3]
+    gap = later.frame - earlier.frame - 1
+    gone = skipped[gap] if gap < len(skipped) else missed(gap, scene)
+    if is_new(before):
+        total = 1e-300
+        for component in scene.velocities:
+            spread = before[4] + dt * dt * component[3] + scene.density * dt**3 / 3.0 + later.variance
+            ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
+            square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
+            total += component[0] * math.exp(-square / spread) / spread
+        return math.log(total / (2.0 * math.pi)) + gone
     spread = spread_after(dt, before, later.variance, scene)
     wide = spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0)
-    off_x, off_y = later.x - before[0] - dt * before[2], later.y - before[1] - dt * before[3]
     square = 0.5 * (off_x * off_x + off_y * off_y)
-    gap = later.frame - earlier.frame - 1
-    density = -math.log(2.0 * math.pi * spread) - square / wide
-    return density + (skipped[gap] if gap < len(skipped) else missed(gap, scene))
+    return -math.log(2.0 * math.pi * spread) - square / wide + gone
 
 
 @allocating
@@ -213,7 +227,7 @@ def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
     determinant = max(state[4] * state[6] - state[5] * state[5], 1e-12)
     speed = state[2] * state[2] + state[3] * state[3]
     gained = math.log(tail.variance * scene.speed_variance / determinant)
-    return max(gained, 0.0) + speed / scene.speed_variance + 2.0
+    return max(gained, 0.0) + speed / scene.speed_variance + _WORTH_OF_PRIOR
 
 
 @compiled

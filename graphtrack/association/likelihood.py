@@ -8,7 +8,7 @@ its birth, over that of false detections.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -28,6 +28,10 @@ STATE = 11
 """Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
 and head as vectors (x, y) whose length is their concentration; 0: not known."""
 BODY, HEAD = 7, 9  # places of the last two
+
+
+ANY_VELOCITY = np.array([[1.0, 0.0, 0.0, 1.0]])
+"""A prior of velocities of one component."""
 
 
 class Scene(NamedTuple):
@@ -57,6 +61,13 @@ class Scene(NamedTuple):
     appearance_slope: float = 0.0
     appearance_outliers: float = 1.0
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
+    velocities: FloatArray = ANY_VELOCITY  # prior, see `velocities_of`
+
+
+def scene_of(parameters: SceneParameters, seconds: float, velocities: FloatArray = ANY_VELOCITY) -> Scene:
+    """Return the parameters of a scene for kernels, for a frame interval in seconds."""
+    values: Any = parameters.packed(seconds)
+    return Scene(*values)._replace(velocities=velocities)
 
 
 DETECTION = np.dtype(
@@ -284,6 +295,8 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
 
     The position may have jumped, after which the velocity is unknown: both states are moment-matched.
     """
+    if is_new(before):
+        return move_first(earlier, before, later, scene, state)
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
     pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
@@ -310,6 +323,47 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     state[5] = pv * (1.0 - gain) + between * apart * apart_turn
     state[6] = v - turn * pv + share * scene.speed_variance + between * apart_turn * apart_turn
     return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
+
+
+@compiled
+def is_new(state: FloatArray) -> bool:
+    """Return whether the state is that of a person who was detected once: the velocity is not known."""
+    return state[5] == 0.0
+
+
+@compiled
+def move_first(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+    """`move` of a person who was detected once: the components of the velocity's prior are moment-matched."""
+    dt, q = later.t - earlier.t, scene.density
+    off_x, off_y = later.x - before[0], later.y - before[1]
+    total, x, y, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0
+    within_p, within_pv, within_v, between_p, between_pv, between_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for component in scene.velocities:
+        p = before[4] + dt * dt * component[3] + q * dt**3 / 3.0
+        pv, v = dt * component[3] + 0.5 * q * dt * dt, component[3] + q * dt
+        spread = p + later.variance
+        ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
+        square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
+        weight = component[0] * math.exp(-min(square / spread, 700.0)) / spread
+        gain, turn = p / spread, pv / spread
+        # Relative to the detection, so that large coordinates lose no digits.
+        here_x, here_y = (gain - 1.0) * ahead_x, (gain - 1.0) * ahead_y
+        there_x, there_y = component[1] + turn * ahead_x, component[2] + turn * ahead_y
+        total += weight
+        x, y = x + weight * here_x, y + weight * here_y
+        vx, vy = vx + weight * there_x, vy + weight * there_y
+        within_p += weight * p * (1.0 - gain)
+        within_pv += weight * pv * (1.0 - gain)
+        within_v += weight * (v - turn * pv)
+        between_p += weight * 0.5 * (here_x * here_x + here_y * here_y)
+        between_pv += weight * 0.5 * (here_x * there_x + here_y * there_y)
+        between_v += weight * 0.5 * (there_x * there_x + there_y * there_y)
+    x, y, vx, vy = x / total, y / total, vx / total, vy / total
+    state[0], state[1], state[2], state[3] = later.x + x, later.y + y, vx, vy
+    state[4] = within_p / total + max(between_p / total - 0.5 * (x * x + y * y), 0.0)
+    state[5] = within_pv / total + between_pv / total - 0.5 * (x * vx + y * vy)
+    state[6] = within_v / total + max(between_v / total - 0.5 * (vx * vx + vy * vy), 0.0)
+    return math.log(total / (2.0 * math.pi))
 
 
 @compiled
@@ -537,9 +591,17 @@ def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
 
 
 def learn_orientation(
-    chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
+    chains: Chains,
+    scene: SceneParameters,
+    seconds: float,
+    known: Known = NOTHING,
+    velocities: FloatArray = ANY_VELOCITY,
 ) -> SceneParameters:
     """The parameters of angles of maximum likelihood for the tracks; the tracks are filtered again."""
+
+    def densities(tried: SceneParameters) -> tuple[float, float, int]:
+        return innovations(chains, scene_of(tried, seconds, velocities))
+
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
@@ -549,16 +611,15 @@ def learn_orientation(
         kept = {name: known[name] for name in (*names, outliers) if name in known}
         if both[:, column].sum() >= _LEAST and len(kept) <= len(names):
             candidates = replace(scene, **neutral)
-            scene = replace(scene, **_fitted(chains, candidates, names, outliers, seconds, kept))
+            scene = replace(scene, **_fitted(densities, candidates, names, outliers, kept))
     return scene
 
 
 def _fitted(
-    chains: Chains,
+    densities: Callable[[SceneParameters], tuple[float, float, int]],
     scene: SceneParameters,
     names: tuple[str, ...],
     outliers: str,
-    seconds: float,
     kept: Known,
 ) -> dict[str, Any]:
     """Maximum-likelihood spreads and share of outliers of one kind of angle; some may be fixed."""
@@ -571,14 +632,14 @@ def _fitted(
         return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
 
     # Angles turn the velocity too, and so change the predicted position.
-    before, candidates, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    before, candidates, _ = densities(scene)
 
     def cost(given: FloatArray) -> float:
         found = parameters(given)
         share = found[outliers]
         # A weak prior, worth a few angles.
         doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
-        position_cost, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
+        position_cost, angles, _ = densities(replace(scene, **found))
         return before + candidates - position_cost - angles - float(doubt)
 
     start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]

@@ -14,21 +14,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.appearance import AppearanceEvidence, ScoreRatio, constancy, learn_appearance
+from graphtrack.association.appearance import (
+    AppearanceEvidence,
+    ScoreRatio,
+    constancy,
+    evidence_of_tracks,
+    learn_appearance,
+)
 from graphtrack.association.likelihood import (
-    Scene,
     chains_of,
     count_up,
     learn_orientation,
     link_by,
     missed,
     remember_rest,
+    scene_of,
 )
 from graphtrack.association.moves import WORTHLESS, Moves
 from graphtrack.association.scene import (
+    GroundRates,
     duplicate_density,
     first_guess,
+    first_velocities,
     learn_duplicates,
+    learn_ground_rates,
     learn_scene,
     own_rates,
 )
@@ -40,12 +49,12 @@ from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_va
 SWEEPS = 6  # most sweeps over the recording for one set of parameters
 ROUNDS = 4  # alternations of finding tracks and learning the scene's parameters from them
 TRUST = 4.0  # log odds that a tracker's next detection is of the same person: a switch in one of fifty
+LEARNING_ROUNDS = 2  # the same, where parameters alone are asked for
 _JOINED_FRAMES = 16
 """Frames that the first sweep looks ahead: nothing is linked yet, and every detection is a candidate."""
 
-_FIRST_GAP = 2.0
-"""Seconds of the longest gap in the first of several rounds, whose parameters are a guess; at least as many
-frames as above."""
+_FIRST_GAP, _FIRST_FRAMES = 2.0, 4
+"""Seconds of the longest gap in the first round, whose parameters are a guess; at least so many frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +87,29 @@ def associate_detections(
     """
     make_association_ready()
     search = _Search(detections, known_values(scene), start)
-    for k in range(rounds):
-        if k:
-            search.adopt(search.learned())
-        elif rounds > 1:
-            search.look_near()
-        search.worthless = 0.0
-        search.join_generously()
-        # Link probabilities are those of the last round.
-        search.worthless = WORTHLESS if k == rounds - 1 else 0.0
-        search.settle(progress, k * SWEEPS, rounds * SWEEPS)
-    progress(rounds * SWEEPS, rounds * SWEEPS)
+    search.run(rounds, progress)
     return search.found(search.identities())
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """Parameters of a scene, learned from some of its detections."""
+
+    scene: SceneParameters
+    velocities: FloatArray  # see `velocities_of`
+    rates: GroundRates
+    appearance: AppearanceEvidence
+
+
+def learn_from_detections(detections: Detections, known: Known) -> Learned:
+    """Learn the unknown parameters of a scene from some of its detections, by finding the people in them."""
+    search = _Search(detections, known)
+    search.run(LEARNING_ROUNDS)
+    scene, identity = search.learned(), search.identities()
+    appearance = search.appearance_of(identity)
+    search.adopt(scene)
+    rates = learn_ground_rates(search.chains, identity)
+    return Learned(scene, search.velocities, rates, appearance)
 
 
 def repair_detections(
@@ -142,10 +162,11 @@ class _Search(Moves):
         n = len(detections)
         self.detections, self._known = detections, known
         scene = replace(first_guess(detections) if start is None else start, **known)
+        self.velocities = first_velocities(detections, scene, known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
         chains = chains_of(detections)
-        super().__init__(chains, Scene(*scene.packed(detections.step_seconds)), remembers=True)
+        super().__init__(chains, scene_of(scene, detections.step_seconds), remembers=True)
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
         self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
@@ -153,6 +174,24 @@ class _Search(Moves):
         self._appearance = AppearanceEvidence()
         self._trust = 0.0
         self.adopt(scene)
+
+    def run(self, rounds: int, progress: Callable[[int, int], None] = lambda done, total: None) -> None:
+        """Alternate between finding tracks and learning the scene's parameters from them."""
+        for k in range(rounds):
+            if k:
+                self.adopt(self.learned())
+            else:
+                self.look_near()
+            self.worthless = 0.0
+            self.join_generously()
+            # Link probabilities are those of the last round.
+            self.worthless = WORTHLESS if k == rounds - 1 else 0.0
+            self.settle(progress, k * SWEEPS, rounds * SWEEPS)
+        progress(rounds * SWEEPS, rounds * SWEEPS)
+
+    def appearance_of(self, identity: NDArray[np.int64]) -> AppearanceEvidence:
+        """The ratios of appearance and scores that the tracks show."""
+        return evidence_of_tracks(self.chains, identity, self._descriptors, self._score)
 
     def begin_with(self, given: NDArray[np.int64]) -> None:
         """Start from the tracks of given identities (n,), from 0, and trust them; −1: none."""
@@ -168,7 +207,7 @@ class _Search(Moves):
         if (identity >= 0).any():
             detections = self.detections
             self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
-        packed = Scene(*scene.packed(self.detections.step_seconds))
+        packed = scene_of(scene, self.detections.step_seconds, self.velocities)
         self.packed = self._appearance.in_scene(packed._replace(trust=self._trust))
         self.chains = self._appearance.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
@@ -191,12 +230,12 @@ class _Search(Moves):
         if self._descriptors.shape[1]:
             self._appearance = AppearanceEvidence(learn_appearance(self.chains, identity, self._descriptors))
         seconds = self.packed.frame_seconds
-        scene = learn_orientation(self.chains, scene, seconds, self._known)
-        return learn_scene(self.chains, identity, scene, self._std, seconds, self._known)
+        scene = learn_orientation(self.chains, scene, seconds, self._known, self.velocities)
+        return learn_scene(self.chains, identity, scene, self._std, seconds, self._known, self.velocities)
 
     def look_near(self) -> None:
         """Look no further than a few seconds, until parameters are learned that tell what may be far."""
-        longest = max(_FIRST_GAP, _JOINED_FRAMES * self.packed.frame_seconds)
+        longest = max(_FIRST_GAP, _FIRST_FRAMES * self.packed.frame_seconds)
         self.packed = self.packed._replace(longest_gap=min(self.packed.longest_gap, longest))
 
     def join_generously(self) -> None:
@@ -206,7 +245,8 @@ class _Search(Moves):
         tracks that are not worth both are split again by the sweeps that follow.
         """
         packed = self.packed
-        gap = min(packed.longest_gap, _JOINED_FRAMES * packed.frame_seconds)
+        longest = max(_FIRST_GAP, _FIRST_FRAMES * packed.frame_seconds)
+        gap = min(packed.longest_gap, _JOINED_FRAMES * packed.frame_seconds, longest)
         self.packed = packed._replace(
             log_birth=np.log(self.scene.clutter_density), log_death=0.0, longest_gap=gap
         )
@@ -263,7 +303,7 @@ def _rehearse() -> None:
     detections = Detections(frame, np.asarray(0.1 * frame, float), position)
     associate_detections(detections)
     count_up(chains_of(detections), np.zeros(len(frame), np.int64))
-    missed(1, Scene(*SceneParameters().packed(0.1)))
+    missed(1, scene_of(SceneParameters(), 0.1))
 
 
 REHEARSAL = Rehearsal("association", _rehearse, 20.0)

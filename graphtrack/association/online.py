@@ -15,20 +15,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from graphtrack.association.appearance import AppearanceEvidence, evidence_of_tracks, widened
+from graphtrack.association.appearance import AppearanceEvidence, widened
 from graphtrack.association.likelihood import (
+    ANY_VELOCITY,
     Chains,
     IntArray,
-    Scene,
     count_up,
-    learn_orientation,
-    link_by,
     missed,
-    refresh,
+    scene_of,
     unlinked,
 )
 from graphtrack.association.moves import Moves
-from graphtrack.association.offline import make_association_ready
+from graphtrack.association.offline import Learned, learn_from_detections, make_association_ready
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -36,14 +34,12 @@ from graphtrack.association.scene import (
     duplicate_density_of,
     duplicate_pairs,
     first_guess,
-    learn_duplicates,
-    learn_ground_rates,
-    learn_scene,
+    first_velocities,
 )
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import OtherSettings, Saved
-from graphtrack.tracks.detections import Detections
+from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import LARGEST_SECONDS, bounds_of, is_number
@@ -83,79 +79,74 @@ class Notes:
         return Notes(*(values[some] for values in vars(self).values()))
 
 
-LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
-"""Detections after which the scene's parameters are first learned; then at each doubling."""
+FIRST_LEARNED = 10, 5.0  # frames and person-seconds after which the scene's parameters are first learned
+RELEARNED = 300.0  # seconds after which they are learned again at the latest
+REMEMBERED = 2000
+"""Detections that parameters are learned from, if these are at least as many frames as are needed first."""
 
-REMEMBERED = 3200  # decided detections that parameters are learned from
 GUESS_SECONDS = 10.0  # weight of the prior of turning: at first all people may walk straight
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
 """Parameters of turning, and the exponent that makes a variance of each."""
 
+_REMEMBERED = ("t", "frame", "position", "facing", "std", "score", "descriptor")
+
 
 class History(Saved):
-    """The newest final detections, from which parameters are learned."""
+    """The newest final detections, from which parameters are learned.
+
+    What is learned does not depend on decisions that were made before: people are found in these detections
+    once more, with what comes after them.
+    """
 
     _saved: ClassVar = {
-        "t": np.ndarray,
-        "std": np.ndarray,
-        "score": np.ndarray,
-        "position": np.ndarray,
-        "facing": np.ndarray,
-        "descriptor": np.ndarray,
-        "frame": np.ndarray,
-        "owner": np.ndarray,
-        "count": int,
-        "times": int,
-        "since": float | None,
+        **dict.fromkeys(_REMEMBERED, np.ndarray),
+        "watched": float,
+        "people": float,
+        "due": float,
+        "frames": int,
     }
 
     def __init__(self) -> None:
         self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
         self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
-        self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.count, self.times = 0, 0
-        self.since: float | None = None
+        self.frame = np.zeros(0, np.int64)
+        self.frames, self.people, self.watched = 0, 0.0, 0.0  # frames, person-seconds and seconds so far
+        self.due = 0.0
 
-    def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
+    def add(self, chains: Chains, notes: Notes, first: int, end: int, step_seconds: float) -> None:
         """Store the detections ``first`` up to ``end``, and drop the oldest beyond the limit."""
         new = {name: getattr(chains, name) for name in ("t", "position", "facing", "frame")}
         new |= {name: getattr(notes, name) for name in ("std", "score", "descriptor")}
         self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
-        for name, values in {**new, "owner": owner}.items():
-            setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
-        self.count += end - first
-        self.since = float(chains.t[first]) if self.since is None else self.since
+        frames = np.unique(chains.frame[first:end])
+        newest = np.unique(np.concatenate([self.frame, frames]))[-FIRST_LEARNED[0] :]
+        frame = np.concatenate([self.frame, chains.frame[first:end]])
+        oldest = min(max(len(frame) - REMEMBERED, 0), int(np.searchsorted(frame, newest[0])))
+        # No frame is remembered in part.
+        oldest = int(np.searchsorted(frame, frame[oldest]))
+        for name, values in new.items():
+            setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[oldest:])
+        self.frames += len(frames)
+        self.people += (end - first) * step_seconds
+        self.watched += len(frames) * step_seconds
 
     def is_due(self) -> bool:
-        """Return True if parameters are to be learned."""
-        known = len(LEARNED_AT)
-        due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
-        return self.count >= due
+        """Return True if parameters are to be learned: each time that twice as much has been watched."""
+        frames, people = FIRST_LEARNED
+        return self.frames >= frames and self.people >= people and self.watched >= self.due
 
-    def learned(
-        self, scene: SceneParameters, step_seconds: float, known: Known
-    ) -> tuple[SceneParameters, GroundRates, AppearanceEvidence]:
+    def learned(self, known: Known) -> Learned:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
-        self.times += 1
-        chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
-        chains.gain[:] = 0.0
-        chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
-        _, owner = np.unique(self.owner, return_inverse=True)
-        identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
-        link_by(chains, identity)
-        scene = learn_duplicates(chains.frame, self.position, identity, scene, known)
-        scene = learn_scene(chains, identity, scene, self.std, step_seconds, known)
-        scene = learn_orientation(chains, scene, step_seconds, known)
-        scene = self._with_guess(scene, known)
-        shown = evidence_of_tracks(chains, identity, self.descriptor, self.score)
-        refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)), 0)
-        return scene, learn_ground_rates(chains, identity), shown
+        self.due = min(2.0 * self.watched, self.watched + RELEARNED)
+        channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
+        channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
+        found = learn_from_detections(Detections(self.frame, self.t, self.position, channels), known)
+        return replace(found, scene=self._with_guess(found.scene, known))
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
         """Weight the parameters of turning between prior and estimate by time."""
-        watched = 0.0 if self.since is None else float(self.t[-1]) - self.since
-        share, guess = GUESS_SECONDS / (GUESS_SECONDS + watched), SceneParameters()
+        share, guess = GUESS_SECONDS / (GUESS_SECONDS + self.watched), SceneParameters()
         mean = {}
         for name, power in _TURNS.items():
             first, found = getattr(guess, name) ** power, getattr(scene, name) ** power
@@ -211,6 +202,7 @@ class OnlineAssociation(Moves, Saved):
         "known": dict[str, Any],
         "lag": float,
         "scene": SceneParameters,
+        "_velocities": np.ndarray,
         "chains": Chains,
         "link_p": np.ndarray,
         "_notes": Notes,
@@ -232,7 +224,8 @@ class OnlineAssociation(Moves, Saved):
         self.scene = SceneParameters(**self.known)
         empty, none = np.zeros(0), np.zeros(0, np.int64)
         nowhere = np.zeros((0, 2))
-        super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
+        super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), scene_of(self.scene, 1.0))
+        self._velocities = ANY_VELOCITY
         self._notes = Notes.of(empty, empty, empty, np.zeros((0, 0)))
         self._first: list[int] = []  # first detection of each frame that can be revised, oldest first
         self._history = History()
@@ -415,8 +408,7 @@ class OnlineAssociation(Moves, Saved):
             return
         root, value = self.roots()
         number, times = self._notes.number[root], self._times()
-        owner = np.where(value[root] > 0.0, number, NOBODY)
-        self._history.add(chains, self._notes, owner, open_before, settled)
+        self._history.add(chains, self._notes, open_before, settled, self.step_seconds)
         following = chains.following[:settled]
         # A track of too low a value is not continued after a gap.
         lost = (following < 0) & (value[root[:settled]] > 0.0)
@@ -463,7 +455,7 @@ class OnlineAssociation(Moves, Saved):
         return one, other, square
 
     def _pack(self) -> None:
-        self.packed = self._appearance.in_scene(Scene(*self.scene.packed(self.step_seconds)))
+        self.packed = self._appearance.in_scene(scene_of(self.scene, self.step_seconds, self._velocities))
 
     def _weigh_duplicates(self) -> None:
         """Set the gains of detections: lower near a person who is detected already."""
@@ -508,9 +500,11 @@ class OnlineAssociation(Moves, Saved):
         if not len(chains.t):
             return
         if history.is_due():
-            found = history.learned(self.scene, self.step_seconds, self.known)
-            self.scene, self._ground_rates, self._appearance = found
+            found = history.learned(self.known)
+            self.scene, self._velocities = found.scene, found.velocities
+            self._ground_rates, self._appearance = found.rates, found.appearance
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
-        elif not history.times:
-            guess = first_guess(Detections(chains.frame, chains.t, chains.position))
-            self.scene = replace(guess, **self.known)
+        elif not history.due:
+            detections = Detections(chains.frame, chains.t, chains.position)
+            self.scene = replace(first_guess(detections), **self.known)
+            self._velocities = first_velocities(detections, self.scene, self.known)

@@ -14,7 +14,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.likelihood import Chains, IntArray, Scene, innovations
+from graphtrack.association.likelihood import ANY_VELOCITY, Chains, IntArray, innovations, scene_of
+from graphtrack.association.motion import noise_of, velocities_of
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import ndimage, optimize, spatial
 from graphtrack.tracks.detections import Detections
@@ -105,8 +106,11 @@ _EDGE = 3  # frames at either end of a recording in which a person present may h
 
 _PRIOR_EVENTS = 2.0  # pseudo-count of events at the first guess
 
-_FIRST_STD = 0.3
-"""Initial noise in metres, more than most detectors have: learning lowers it, but hardly raises it."""
+_MORE_NOISE = 1.2
+"""Initial noise over that of `noise_of`: learning lowers it, but hardly raises it."""
+
+_LEAST_AREA = 25.0  # m² of a scene of which little has been detected so far
+_LEAST_STD, _GREATEST_STD = 0.03, 1.0  # metres, of the initial noise
 
 
 def edge_of(frames: int) -> int:
@@ -146,15 +150,26 @@ def first_guess(detections: Detections) -> SceneParameters:
     each = len(detections) / frames
     _, square = smallest_box(detections.position)
     seconds = detections.step_seconds
+    noise = noise_of(detections.step, detections.position, square, seconds)
+    square = max(square, _LEAST_AREA)
     # One detection in ten is false; people stay for about ten seconds.
     return replace(
         start,
-        position_std=_FIRST_STD,
+        position_std=float(np.clip(_MORE_NOISE * noise, _LEAST_STD, _GREATEST_STD)),
         clutter_density=float(np.clip(max(0.1 * each, 0.1) / square, 1e-9, 100.0)),
         birth_density=float(np.clip(max(each / 10.0, 0.01) / square, 1e-9, 100.0)),
         death_rate=0.1,
         occlusion_probability=float(np.clip(0.05 * seconds, 1e-6, 0.5)),
     )
+
+
+def first_velocities(detections: Detections, scene: SceneParameters, known: Known = NOTHING) -> FloatArray:
+    """The prior of velocities, see `velocities_of`; a Gaussian where its spread is known."""
+    if "speed_std" in known:
+        return np.array([[1.0, 0.0, 0.0, scene.speed_std**2]])
+    axes, _ = smallest_box(detections.position)
+    noise, seconds = scene.position_std, detections.step_seconds
+    return velocities_of(detections.step, detections.position, axes, seconds, noise, scene.speed_std)
 
 
 def learn_scene(
@@ -164,6 +179,7 @@ def learn_scene(
     known_std: FloatArray,
     seconds: float,
     known: Known = NOTHING,
+    velocities: FloatArray = ANY_VELOCITY,
 ) -> SceneParameters:
     """Maximum a posteriori parameters given the tracks, with the previous parameters as a weak prior.
 
@@ -196,7 +212,8 @@ def learn_scene(
         "birth_density": _per_exposure(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
         "death_rate": _per_exposure(events.left, events.in_view, scene.death_rate, 1e-6, 10.0),
     }
-    return replace(scene, **_motion(chains, scene, seconds, known_std, known) | rates | dict(known))
+    motion = _motion(chains, scene, seconds, known_std, known, velocities)
+    return replace(scene, **motion | rates | dict(known))
 
 
 def scene_log_density(
@@ -219,7 +236,7 @@ def scene_log_density(
     false -= scene.duplicate_rate * events.detected
     came = events.born * np.log(scene.birth_density) - scene.birth_density * events.open_exposure
     went = events.left * np.log(scene.death_rate) - scene.death_rate * events.in_view
-    positions, angles, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    positions, angles, _ = innovations(chains, scene_of(scene, seconds))
     detected = events.detected * np.log(scene.detection_probability)
     return float(positions + angles + detected + between + false + came + went)
 
@@ -273,7 +290,12 @@ def _per_exposure(events: int, exposure: float, before: float, low: float, high:
 
 
 def _motion(
-    chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray, known: Known
+    chains: Chains,
+    scene: SceneParameters,
+    seconds: float,
+    known_std: FloatArray,
+    known: Known,
+    velocities: FloatArray,
 ) -> dict[str, Any]:
     """Acceleration density and noise of maximum likelihood, given the links."""
     unknown = np.isnan(known_std)
@@ -290,7 +312,7 @@ def _motion(
         tried = replace(scene, **values(logarithms))
         if unknown.any():
             chains.variance[unknown] = tried.position_std**2
-        total, _, count = innovations(chains, Scene(*tried.packed(seconds)))
+        total, _, count = innovations(chains, scene_of(tried, seconds, velocities))
         # Weak priors about the guess, for recordings of few tracks.
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)

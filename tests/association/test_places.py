@@ -13,10 +13,10 @@ from graphtrack.association.likelihood import (
     BODY,
     STATE,
     Chains,
-    Scene,
     link_by,
     observed_angles,
     refresh,
+    scene_of,
     steer,
     unlinked,
 )
@@ -103,7 +103,7 @@ def test_of_two_in_one_place_the_one_who_goes_out_leaves_rather() -> None:
     chains = unlinked(0.4 * frame, frame.astype(np.int64), np.column_stack([x, 0.0 * x]), nothing)
     link_by(chains, identity.astype(np.int64))
     chains.variance[:] = 0.01
-    refresh(chains, 0, len(x), Scene(*gt.SceneParameters().packed(0.4)), 0)
+    refresh(chains, 0, len(x), scene_of(gt.SceneParameters(), 0.4), 0)
     found = learn_ground_rates(chains, identity.astype(np.int64))
     here, speed = np.array([[19.5, 0.0]]), np.array([[1.25, 0.0]])
     out, back = (found.leaving_for(here + sign * AHEAD * speed) for sign in (1.0, -1.0))

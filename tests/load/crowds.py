@@ -2,6 +2,7 @@
 
     python tests/load/crowds.py offline PEOPLE FRAMES        association of a recording at 5 Hz
     python tests/load/crowds.py online PEOPLE FRAMES HZ PRESET
+    python tests/load/crowds.py track PEOPLE FRAMES          at 5 Hz, default model, first answers
     python tests/load/crowds.py score PEOPLE FRAMES          `graphtrack score` of a recording's tracks
     python tests/load/crowds.py day FOLDER HOURS             detections of HOURS hours, a Parquet file each
 
@@ -168,6 +169,8 @@ if __name__ == "__main__":
     task, *values = sys.argv[1:] or ["none"]
     if task == "online":
         online(int(values[0]), int(values[1]), float(values[2]), values[3])
+    elif task == "track":
+        online(int(values[0]), int(values[1]), 1.0 / STEP, "joint")
     elif task == "day":
         day(values[0], int(values[1]))
     elif task in ("offline", "score"):
