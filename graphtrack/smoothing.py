@@ -44,6 +44,7 @@ from graphtrack.inference.state import Estimate, as_track
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations, solve_in_turn
 from graphtrack.interaction.walls import solve_inside
 from graphtrack.io.options import FileReading, ReadingBase
+from graphtrack.io.read_write import are_paths, is_table
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.given import notes_on
@@ -51,7 +52,7 @@ from graphtrack.model.observation import observations
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.saved import integer
-from graphtrack.tracks.gaps import at_times, filled, with_times_at
+from graphtrack.tracks.gaps import LONGEST_FILLED, at_times, filled, split_at_gaps, with_times_at
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.scene import GivenScene, known_values
 from graphtrack.tracks.track import Track, TrackSet
@@ -223,7 +224,8 @@ class Solving(TypedDict, total=False):
 class Smoothing(Solving, FileReading, total=False):
     """Keywords of `smooth`."""
 
-    fill: bool
+    fill: bool | None
+    split_gap: float
     resample: float | None
 
 
@@ -242,7 +244,8 @@ def smooth(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
-    fill: bool = False,
+    fill: bool | None = None,
+    split_gap: float = LONGEST_FILLED,
     resample: float | None = None,
     walkable: AreaLike | None = None,
     constants: Constants | None = None,
@@ -253,7 +256,9 @@ def smooth(
     Parameters
     ----------
     tracks, model, engine, jobs, options, progress, trust, walkable, constants : as in `solve`
-    fill : also estimate frames between a track's rows that its table leaves out; see `gaps.filled`
+    fill : True: also estimate frames between a track's rows that its table leaves out, see `gaps.filled`;
+        False: not even those in which a person whose detections were associated was missed
+    split_gap : seconds; see `gaps.split_at_gaps`. A single `Track` is not split
     resample : frames a second (Hz) of estimates in place of the tracks' times; see `gaps.with_times_at`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
@@ -268,7 +273,12 @@ def smooth(
         For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
     model = Model.named(model)
+    read = isinstance(tracks, str | Path) or is_table(tracks) or are_paths(tracks)
+    if fill is False and read:
+        reading["missed_rows"] = False
     given = tracks_of(tracks, scene=model.scene, **reading)
+    if not isinstance(tracks, Track):
+        given, _ = split_at_gaps(given, split_gap)
     origin = min((float(track.t[0]) for track in given), default=0.0)
     if fill:
         given = filled(given)

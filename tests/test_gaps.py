@@ -1,6 +1,7 @@
 """Missing rows become frames without observations; estimates at other times are the model's own."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.tracks.gaps import at_times, filled, unfilled_gaps, usual_rate, with_times_at
+from graphtrack.tracks.gaps import at_times, filled, split_at_gaps, unfilled_gaps, usual_rate, with_times_at
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 
@@ -102,3 +103,44 @@ def test_options_of_reading_go_with_paths_and_tables(tmp_path):
         for call in (gt.smooth, gt.track_online):
             with pytest.raises(InputError, match="fp"):
                 call(wrong, "position", **options)
+
+
+def test_an_id_that_comes_back_is_another_track():
+    there = np.abs(walk(600).t - 30.0) > 15.0
+    absent = walk(600)[there]
+    jumped = walk(100, track_id=7)
+    far = jumped.position + np.where(jumped.t[:, None] > 4.0, (60.0, 0.0), 0.0)
+    jumped = replace(jumped, position=far)[np.abs(jumped.t - 5.0) >= 1.0]
+    off = walk(100, track_id=9)
+    off = replace(off, position=off.position + np.where(np.arange(100)[:, None] == 40, (30.0, 0.0), 0.0))
+    people = gt.TrackSet((absent, jumped, off))
+    found, notes = split_at_gaps(people, 20.0)
+    assert [(one.track_id, len(one)) for one in found] == [
+        (1, (absent.t < 30.0).sum()),
+        (10, (absent.t > 30.0).sum()),
+        (7, (jumped.t < 5.0).sum()),
+        (11, (jumped.t > 5.0).sum()),
+        (9, 100),
+    ]
+    assert len(notes) == 2 and "id 1 absent" in notes[0] and "id 7" in notes[1]
+    assert split_at_gaps(gt.TrackSet((absent, off)), 60.0)[1] == ()
+    smoothed = gt.smooth(people, "position", fill=True, split_gap=20.0)
+    assert max(np.diff(one.t).max() for one in smoothed) < 0.15 and len(smoothed) == 5
+    with pytest.raises(InputError, match="split_gap"):
+        split_at_gaps(people, 0.0)
+
+
+def test_people_who_were_missed_can_be_left_out(cwd):
+    rng = np.random.default_rng(0)
+    detected = gt.TrackSet((walk(), walk(seed=1, track_id=2))).to_table()
+    detected.loc[detected["track_id"] == 2, "y"] += 5.0
+    detected = detected[["frame", "t", "x", "y"]]
+    detected = detected[rng.random(len(detected)) < 0.8].sort_values("frame", kind="stable")
+    detected.to_csv("found.csv", index=False)
+    rows = {}
+    for name, *options in (("filled",), ("left", "--no-fill")):
+        ran("smooth", "found.csv", "--model", "position", "-o", f"{name}.csv", *options, program="graphtrack")
+        rows[name] = gt.read(f"{name}.csv").n_frames
+    assert rows["left"] <= len(detected) < rows["filled"]
+    assert gt.smooth("found.csv", "position", fill=False).n_frames == rows["left"]
+    assert gt.smooth("found.csv", "position").n_frames == rows["filled"]

@@ -57,17 +57,21 @@ _ALONG = (
 """Channels that the evidence reads in addition to the position."""
 
 
-def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
+def associated(
+    rows: Rows, scene: GivenScene = None, *, repair: bool = False, missed_rows: bool = True
+) -> TrackSet:
     """The tracks of associated detections, with a row for each frame from first to last.
 
     Parameters
     ----------
     scene : known parameters; the others are learned
     repair : the rows have a tracker's identities, which are kept unless the evidence is against them
+    missed_rows : False: without the rows of frames in which a person was missed
     """
     known = known_values(scene)
     found = with_repaired_identities(rows, known) if repair else with_identities(rows, known)
-    return with_every_frame(TrackSet.from_rows(found), SceneParameters(**known).longest_filled)
+    tracks = TrackSet.from_rows(found)
+    return with_every_frame(tracks, SceneParameters(**known).longest_filled) if missed_rows else tracks
 
 
 def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
@@ -266,7 +270,7 @@ def tracks_of_rows(rows: Rows, options: ReadOptions, scene: GivenScene = None) -
     if not associates and options.associate != "repair":
         return identified_tracks(rows, options)
 
-    return associated(rows, scene, repair=not associates)
+    return associated(rows, scene, repair=not associates, missed_rows=options.missed_rows)
 
 
 def read(

@@ -84,6 +84,8 @@ RELEARNED = 300.0  # seconds after which they are learned again at the latest
 REMEMBERED = 2000
 """Detections that parameters are learned from, if these are at least as many frames as are needed first."""
 
+_ROUNDING = 1e-3  # relative: rounded times change no frame in which parameters are learned
+
 GUESS_SECONDS = 10.0  # weight of the prior of turning: at first all people may walk straight
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
@@ -134,7 +136,8 @@ class History(Saved):
     def is_due(self) -> bool:
         """Return True if parameters are to be learned: each time that twice as much has been watched."""
         frames, people = FIRST_LEARNED
-        return self.frames >= frames and self.people >= people and self.watched >= self.due
+        more = 1.0 + _ROUNDING
+        return self.frames >= frames and self.people * more >= people and self.watched * more >= self.due
 
     def learned(self, known: Known) -> Learned:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""

@@ -182,6 +182,7 @@ class Reading:
         rows: Rows | None = None,
         scene: GivenScene = None,
         reference: TrackSet | None = None,
+        missed_rows: bool = True,
     ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
@@ -191,12 +192,14 @@ class Reading:
         rows : rows of the single file, if already read
         scene : scene model, for people without identities
         reference : tracks to compare with; times and local metres share its origin
+        missed_rows : as in `ReadOptions`
         """
         from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
         from graphtrack.io.read_write import read_with
 
-        named = replace(self.options(), reference=None if reference is None else reference.as_read)
+        origin = None if reference is None else reference.as_read
+        named = replace(self.options(), reference=origin, missed_rows=missed_rows)
         to_tracks = partial(tracks_of_rows, scene=scene)
         with quiet_input_warnings():
             tracks = (

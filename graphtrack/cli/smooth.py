@@ -142,6 +142,7 @@ def smooth(
     trust: options.TrustNoise = None,
     constants: options.Constants = None,
     fill: bool | None = None,
+    split_gap: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
     walkable: options.Walkable = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
@@ -155,7 +156,10 @@ def smooth(
     Parameters
     ----------
     engine : auto: chain, which is compiled, if the model allows it; isam2 and fixed-lag are for track.
-    fill : Estimate the missing frames between a person's rows. [default: fill]
+    fill : Estimate the missing frames between a person's rows, and those in which a detector missed the
+        person. [default: fill]
+    split_gap : An id that comes back after so long, or where nobody walks in the time, is another track;
+        default 60.
     resample : Frames a second of the estimates.
     jobs : Tracks in parallel: threads (chain; by default one for each processor) or processes (gtsam).
     report : Write an HTML report too.
@@ -178,13 +182,14 @@ def smooth(
     from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
     from graphtrack.model import Model
     from graphtrack.smoothing import solve_tracks
-    from graphtrack.tracks.gaps import at_times, with_times_at
+    from graphtrack.tracks.gaps import LONGEST_FILLED, at_times, split_at_gaps, with_times_at
 
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
+        unused |= {"--split-gap": split_gap}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
@@ -203,7 +208,10 @@ def smooth(
             constants=constants,
         )
         return
-    tracks = reading.tracks(inputs, scene=chosen.scene)
+    tracks = reading.tracks(inputs, scene=chosen.scene, missed_rows=fill is not False)
+    tracks, notes = split_at_gaps(tracks, LONGEST_FILLED if split_gap is None else split_gap)
+    for line in notes:
+        emit(f"  note: {line}")
     origin = min(float(track.t[0]) for track in tracks)
     if fill is not False:
         tracks = _without_gaps(tracks)

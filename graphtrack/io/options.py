@@ -97,6 +97,7 @@ class ReadingBase(TypedDict, total=False):
     ego_calibration: str | Path | None
     classes: tuple[str, ...]
     associate: Associate
+    missed_rows: bool
     columns: Mapping[str, str] | str | None
     time_unit: str | None
     units: str | None
@@ -146,6 +147,7 @@ class ReadOptions:
     associate : "auto": rows without identities become tracks, see `association`; "always": identities in
         the file are ignored; "repair": they are kept unless the evidence is against them; "never": rows
         without identities are an error
+    missed_rows : give detections that become tracks a row for each frame in which the person was missed
     columns : of a table with foreign names: name in the native table (``id`` and ``time`` for short,
         ``lat`` and ``lon``, ``body_rad`` and ``head_rad``) → name in the file, or text such as
         ``"id=agent,t=timestamp"``
@@ -173,6 +175,7 @@ class ReadOptions:
     ego_calibration: str | Path | None = None
     classes: tuple[str, ...] = ("Pedestrian",)
     associate: Associate = "auto"
+    missed_rows: bool = True
     columns: Mapping[str, str] | str | None = None
     time_unit: str | None = None
     units: str | None = None

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import count, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.display import listed
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_FRAME, is_number
@@ -24,6 +26,9 @@ LONGEST_FILLED = 60.0
 
 LONGEST_BETWEEN = 1.0
 """Seconds between two sightings up to which positions between them are interpolated."""
+
+_JUMP, _BRISK, _WALKED = 3.0, 3.0, 3.0
+"""Metres, metres a second, and a factor of a person's own speed: see `split_at_gaps`."""
 
 _MOST_FILLED, _MOST_TIMES = 1_000_000, 100
 """Rows with filled gaps: at most so many, or so many times as many as without."""
@@ -62,6 +67,76 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
         found = f"{n_frames:,} rows with filled gaps, for {tracks.n_frames:,}"
         raise InputError(found, f"at most {most:,}; --no-fill leaves the gaps")
     return tracks.map(lambda track: _filled(track, *gaps[track.track_id]))
+
+
+def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[TrackSet, tuple[str, ...]]:
+    """Split tracks whose id comes back after a long gap, or where nobody walks to in the time.
+
+    Nobody walks further than `_JUMP` metres and `_WALKED` times what the person covers in a second, at least
+    `_BRISK` metres, in each second. Two rows on each side of such a jump must agree about it, so that a gross
+    error of one row splits nothing.
+
+    Parameters
+    ----------
+    longest : seconds of a gap within a track
+
+    Returns
+    -------
+    TrackSet
+        The parts after the first get the ids after the highest, and the labels of the first.
+    tuple of str
+        A note on each reason to split.
+    """
+    if not longest > 0.0:
+        raise InputError(f"split_gap = {longest:g}", "a positive number of seconds")
+    free = count(max((track.track_id for track in tracks), default=0) + 1)
+    names = {} if tracks.as_read is None else dict(tracks.as_read.names)
+    parts: list[Track] = []
+    absent, jumped = [], []
+    for track in tracks:
+        gap, jump = np.diff(track.t) > longest + TIME_TOLERANCE, _jumps(track)
+        absent += [track.track_id] * bool(gap.any())
+        jumped += [track.track_id] * bool((jump & ~gap).any())
+        ends = [0, *(np.flatnonzero(gap | jump) + 1).tolist(), len(track)]
+        for k, (first, end) in enumerate(pairwise(ends)):
+            part = track if len(ends) == 2 else track[first:end]
+            if k:
+                part = replace(part, track_id=next(free))
+                if names:
+                    names[part.track_id] = f"{names.get(track.track_id, track.track_id)} ({k + 1})"
+            parts.append(part)
+    if len(parts) == len(tracks):
+        return tracks, ()
+    found = tracks.with_tracks(parts)
+    if names and tracks.as_read is not None:
+        found = replace(found, as_read=replace(tracks.as_read, names=names))
+    reasons = (f"for more than {longest:g} s", absent), ("and came back where nobody walks", jumped)
+    each = "; each time it comes back it is another track (--split-gap)"
+    notes = [f"{listed(map(str, ids))} absent {why}{each}" for why, ids in reasons if ids]
+    return found, tuple(f"id {note}" for note in notes)
+
+
+def _jumps(track: Track) -> NDArray[np.bool_]:
+    """Return (n − 1,) whether nobody walks from a row to the next; see `split_at_gaps`."""
+    found = np.zeros(max(len(track) - 1, 0), bool)
+    known = np.flatnonzero(np.isfinite(track.position).all(axis=1))
+    if len(known) < 4:
+        return found
+    t, position = track.t[known], track.position[known]
+    seconds = np.arange(t[0], t[-1], 1.0)
+    way = np.hypot(*np.diff([np.interp(seconds, t, axis) for axis in position.T], axis=1))
+    fastest = max(_BRISK, _WALKED * float(np.median(way)) if len(way) else 0.0)
+
+    def is_far(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
+        way = np.hypot(*(position[second] - position[first]).T)
+        return np.asarray(way > _JUMP + fastest * (t[second] - t[first]))
+
+    k = np.arange(1, len(known) - 2)
+    # Two rows before and two after: all four pairs are far apart, and neither two are.
+    jump = is_far(k, k + 1) & is_far(k - 1, k + 1) & is_far(k, k + 2) & is_far(k - 1, k + 2)
+    jump &= ~is_far(k - 1, k) & ~is_far(k + 1, k + 2)
+    found[known[k[jump] + 1] - 1] = True
+    return found
 
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
