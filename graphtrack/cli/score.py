@@ -183,7 +183,7 @@ def _read(
 
     The tracks are kept if there is one pair.
     """
-    from graphtrack.evaluation.matching import boxes, estimated_detections, true_detections
+    from graphtrack.evaluation.matching import at_shared_times, boxes, estimated_detections, true_detections
     from graphtrack.evaluation.state_score import state_errors
 
     if threshold.measure == "iou" and reading.select:
@@ -193,11 +193,14 @@ def _read(
             yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
         else:
             found = reading.tracks([estimates])
-            estimated, true = estimated_detections(found), reading.tracks([truth], reference=found)
+            true = reading.tracks([truth], reference=found)
             if len(pairs) == 1:
                 kept.append((found, true))
             errors.append(state_errors(found, true, threshold))
-            yield name, estimated, true_detections(true)
+            found, true, note = at_shared_times(found, true)
+            if note:
+                emit(f"  note: {note}")
+            yield name, estimated_detections(found), true_detections(true)
 
 
 def _write_html(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:

@@ -38,6 +38,7 @@ from graphtrack.evaluation.matching import (
     SharedFrames,
     Similarity,
     Summed,
+    at_shared_times,
     box_similarity,
     boxes,
     estimated_detections,
@@ -724,7 +725,8 @@ def _paths(given: Given) -> list[Path] | None:
 
 
 def _positions_of(name: str, estimates: Given, truth: Given) -> Pair:
-    return name, estimated_detections(tracks_of(estimates)), true_detections(tracks_of(truth))
+    found, true, _ = at_shared_times(tracks_of(estimates), tracks_of(truth))
+    return name, estimated_detections(found), true_detections(true)
 
 
 def _boxes_of(name: str, estimates: Given, truth: Given) -> Pair:

@@ -9,7 +9,12 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.identities import clear_matches, similarity_of, threshold_of
-from graphtrack.evaluation.matching import estimated_detections, share_frames, true_detections
+from graphtrack.evaluation.matching import (
+    at_shared_times,
+    estimated_detections,
+    share_frames,
+    true_detections,
+)
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -64,8 +69,8 @@ def judge_events(estimates: Given, truth: Given, *, metres: float | None = None)
     InputError
         As `score`.
     """
-    tracks, threshold = tracks_of(estimates), threshold_of(metres)
-    found, true = estimated_detections(tracks), true_detections(tracks_of(truth))
+    tracks, known, _ = at_shared_times(tracks_of(estimates), tracks_of(truth))
+    threshold, found, true = threshold_of(metres), estimated_detections(tracks), true_detections(known)
     shared = share_frames(true, found, similarity_of(threshold))
     people, ids = np.unique(true.track_id), np.unique(found.track_id)
     # Frame, track and position of every match.

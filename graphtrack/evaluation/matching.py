@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from graphtrack.io.cameras import NO_CAMERA
 from graphtrack.packages import spatial
 from graphtrack.tracks.display import counted
 from graphtrack.tracks.table import Rows
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
 IntArray = NDArray[np.int64]
@@ -122,6 +124,87 @@ def _detections(tracks: TrackSet, channel: str) -> Detections:
 def _positions(track: Track, channel: str) -> FloatArray:
     values: FloatArray | None = getattr(track, channel)
     return np.full((len(track), 2), np.nan) if values is None else values
+
+
+def at_shared_times(estimates: TrackSet, truth: TrackSet) -> tuple[TrackSet, TrackSet, str]:
+    """Number the frames of both by their times, where the numbers are not of the same times.
+
+    Rows are then compared at the times of the side with fewer rows a second, those without a row of it
+    included. There each track has its row nearest in time, at most half of that track side's interval away;
+    what lies between is left out.
+
+    Returns
+    -------
+    estimates, truth : as given, where the same numbers are at the same times
+    note : the reason, or an empty text
+    """
+    steps = [_usual_step(side) for side in (estimates, truth)]
+    if not all(steps):
+        return estimates, truth, ""
+    spans = [(min(one.t[0] for one in side), max(one.t[-1] for one in side)) for side in (estimates, truth)]
+    if spans[0][0] > spans[1][1] or spans[1][0] > spans[0][1]:
+        return estimates, truth, ""
+    if _numbers_agree(estimates, truth, 0.5 * min(steps)):
+        return estimates, truth, ""
+    coarse = estimates if steps[0] > steps[1] else truth
+    first, last = min(begin for begin, _ in spans), max(end for _, end in spans)
+    instants = _instants(np.concatenate([track.t for track in coarse]), max(steps), first, last)
+    found = [
+        side.with_tracks(_at_instants(track, instants, 0.5 * step) for track in side)
+        for side, step in zip((estimates, truth), steps, strict=True)
+    ]
+    rates = " and ".join(f"{1.0 / step:.3g} Hz" for step in steps)
+    note = f"frame numbers are not of the same times (estimates and truth at {rates}): compared by time"
+    return found[0], found[1], note
+
+
+def _usual_step(tracks: TrackSet) -> float:
+    """Return the median seconds between the rows of a person; 0 without two rows."""
+    steps = np.concatenate([np.empty(0), *(np.diff(track.t) for track in tracks)])
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _numbers_agree(estimates: TrackSet, truth: TrackSet, tolerance: float) -> bool:
+    """Return whether all frames that both have are at the same times, and whether there are any."""
+    times = []
+    for side in (estimates, truth):
+        frame, first = np.unique(np.concatenate([track.frame for track in side]), return_index=True)
+        times.append((frame, np.concatenate([track.t for track in side])[first]))
+    (one, t_one), (other, t_other) = times
+    common, here, there = np.intersect1d(one, other, return_indices=True)
+    return bool(len(common)) and bool((np.abs(t_one[here] - t_other[there]) <= tolerance).all())
+
+
+def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArray:
+    """Return the times of all frames (f,) from first to last, given those of rows (n,)."""
+    t = np.sort(t)
+    # Rows less than half a step after the first of a frame are of that frame.
+    begin = [0]
+    for k in range(1, len(t)):
+        if t[k] - t[begin[-1]] > 0.5 * step:
+            begin.append(k)
+    known = np.add.reduceat(t, begin) / np.diff([*begin, len(t)])
+    before = np.arange(known[0] - step, first - 0.5 * step, -step)[::-1]
+    after = np.arange(known[-1] + step, last + 0.5 * step, step)
+    between = [
+        np.linspace(a, b, round((b - a) / step) + 1)[1:-1]
+        for a, b in pairwise(known.tolist())
+        if b - a > 1.5 * step
+    ]
+    return np.sort(np.concatenate([before, known, *between, after]))
+
+
+def _at_instants(track: Track, instants: FloatArray, tolerance: float) -> Track:
+    """Return the rows of a track that are nearest to some instants (f,), numbered by them."""
+    nearest = np.clip(np.searchsorted(instants, track.t), 1, max(len(instants) - 1, 1))
+    nearest = np.minimum(nearest, len(instants) - 1)
+    earlier = np.maximum(nearest - 1, 0)
+    nearest = np.where(track.t - instants[earlier] <= instants[nearest] - track.t, earlier, nearest)
+    away = np.abs(track.t - instants[nearest])
+    order = np.lexsort((away, nearest))
+    best = order[np.flatnonzero(np.diff(nearest[order], prepend=-1))]
+    best = np.sort(best[away[best] <= tolerance + TIME_TOLERANCE])
+    return replace(track[best], frame=nearest[best].astype(np.int64))
 
 
 Pairs = tuple[IntArray, IntArray, FloatArray]

@@ -94,7 +94,11 @@ def test_what_is_said_of_a_score():
         (walkers(1), {"metres": float("nan")}, "metres = nan"),
         (walkers(1), {"iou": 1.5}, "iou = 1.5"),
         (walkers(1), {"iou": 0.5}, "a TrackSet, which has no boxes"),
-        (walkers(1).map(lambda track: replace(track, frame=track.frame + 1000)), {}, "no frame in common"),
+        (
+            walkers(1).map(lambda track: replace(track, frame=track.frame + 1000, t=track.t + 1000.0)),
+            {},
+            "no frame in common",
+        ),
         (7, {}, "a int"),
     ],
 )
