@@ -107,6 +107,7 @@ class History(Saved):
         "people": float,
         "due": float,
         "frames": int,
+        "learnings": int,
     }
 
     def __init__(self) -> None:
@@ -114,7 +115,7 @@ class History(Saved):
         self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
         self.frame = np.zeros(0, np.int64)
         self.frames, self.people, self.watched = 0, 0.0, 0.0  # frames, person-seconds and seconds so far
-        self.due = 0.0
+        self.due, self.learnings = 0.0, 0
 
     def add(self, chains: Chains, notes: Notes, first: int, end: int, step_seconds: float) -> None:
         """Store the detections ``first`` up to ``end``, and drop the oldest beyond the limit."""
@@ -141,6 +142,7 @@ class History(Saved):
 
     def learned(self, known: Known) -> Learned:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
+        self.learnings += 1
         self.due = min(2.0 * self.watched, self.watched + RELEARNED)
         channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
         channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
@@ -240,6 +242,11 @@ class OnlineAssociation(Moves, Saved):
         # The same by the number of the update, from its first detection on, and the spread that they are for.
         self._pairs_of: dict[int, Pairs] = {}
         self._pairs_spread = np.nan
+
+    @property
+    def learned(self) -> int:
+        """Number of times that parameters were learned."""
+        return self._history.learnings
 
     @property
     def descriptor_size(self) -> int:
@@ -507,7 +514,7 @@ class OnlineAssociation(Moves, Saved):
             self.scene, self._velocities = found.scene, found.velocities
             self._ground_rates, self._appearance = found.rates, found.appearance
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
-        elif not history.due:
+        elif not history.learnings:
             detections = Detections(chains.frame, chains.t, chains.position)
             self.scene = replace(first_guess(detections), **self.known)
             self._velocities = first_velocities(detections, self.scene, self.known)

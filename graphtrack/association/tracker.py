@@ -191,6 +191,11 @@ class DetectionTracker(Saved):
         """The parameters of birth, death and detection, as learned so far."""
         return self._association.scene
 
+    @property
+    def learned(self) -> int:
+        """Number of times that the scene's parameters were learned; before, they are a guess."""
+        return self._association.learned
+
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
     ) -> list[PersonEstimate]:
@@ -424,11 +429,15 @@ UNSAID = "not reported online"
 
 
 def track_rows(
-    rows: Rows, tracker: DetectionTracker, advance: Callable[[int], None] = lambda rows: None
+    rows: Rows,
+    tracker: DetectionTracker,
+    advance: Callable[[int], None] = lambda rows: None,
+    learned: Callable[[float], None] = lambda t: None,
 ) -> TrackSet:
     """Track the detections of a file online; their own identities are not read.
 
-    ``advance`` is called with the number of detections of each frame.
+    ``advance`` is called with the number of detections of each frame, and ``learned`` with the time (s) of
+    each frame in which the scene's parameters were learned.
     """
     rows = usable(rows)
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
@@ -442,7 +451,7 @@ def track_rows(
     starts = np.flatnonzero(np.diff(place[order], prepend=-1))
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
     estimates: dict[int, list[tuple[int, PersonEstimate]]] = {}
-    revised = 0
+    revised, times_learned = 0, tracker.learned
     for t, group in zip(times.tolist(), np.split(order, starts[1:]), strict=True):
         rows_of_frame, frame = group.tolist(), int(rows.frame[group[0]])
         observations = [observation_at(k, t, frame, channels, inputs) for k in rows_of_frame]
@@ -452,6 +461,9 @@ def track_rows(
                 row = rows_of_frame[person.detection]
                 identity[row], probability[row] = person.track_id, person.identity_p
         revised += len(tracker.revised)
+        if tracker.learned > times_learned:
+            times_learned = tracker.learned
+            learned(t)
         advance(len(rows_of_frame))
     note = f"associated {len(rows)} detections online: {len(estimates)} people; {revised} identities revised"
     rows = replace(rows, track_id=identity, has_identity=True, labels={})

@@ -41,6 +41,7 @@ def track(
     places: options.Places = None,
     walkable: options.Walkable = None,
     constants: options.Constants = None,
+    verbose: bool = False,
 ) -> None:
     """Track online: estimate each frame from the observations up to it.
 
@@ -52,6 +53,7 @@ def track(
     engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental
         smoother; auto: chain where it can be.
     lag : Length of the history that is re-estimated; none: all of it, with isam2.
+    verbose : Print what is learned about the scene from detections, whenever it is learned again.
 
     Streams: with - as the input
     ----------------------------
@@ -129,7 +131,7 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        _track_detections(rows, output, chosen, engine, kept, walkable, constants)
+        _track_detections(rows, output, chosen, engine, kept, walkable, constants, verbose)
         return
     tracks = reading.tracks([place_of(input)], rows)
     # The first one compiles.
@@ -171,6 +173,7 @@ def _track_detections(
     lag: float | None,
     walkable: Path | None,
     constants: str | None,
+    verbose: bool,
 ) -> None:
     """Track the detections of a file online, and write the estimates without revision."""
     from graphtrack.association.tracker import track_rows
@@ -181,12 +184,19 @@ def _track_detections(
     tracker = OnlineTracker(
         model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable, constants=constants
     )
+    learned: list[str] = []
+
+    def note(t: float) -> None:
+        learned.append(f"  scene, learned at {t:g} s: {tracker.scene.described()}")
+
     start = time.perf_counter()
     with progress_bar(len(rows), "detections") as advance:
-        tracks = track_rows(rows, tracker, advance)
+        tracks = track_rows(rows, tracker, advance, note)
     seconds = time.perf_counter() - start
     write_tracks(tracks, output)
     print_summary(tracks, str(rows.path))
+    for line in learned if verbose else learned[-1:]:
+        emit(line)
     emit(
         f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {duration(seconds)} "
         f"({1e3 * seconds / len(rows):.2f} ms each); "

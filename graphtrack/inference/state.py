@@ -189,7 +189,7 @@ def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     return found
 
 
-STATE_VERSION = 7
+STATE_VERSION = 8
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """Errors of a smoother for an observation that it cannot use."""

@@ -646,6 +646,7 @@ class Scenes(Answering):
         if frame.t is None:
             return []
         of_stream = _of_stream(name)
+        learnings = frame.tracker.learned
         people = frame.tracker.update(frame.t, frame.observations)
         ahead = {} if self._horizon is None else by_person(frame.tracker.forecast(*self._horizon))
         more = (
@@ -663,7 +664,10 @@ class Scenes(Answering):
             rows.append(of_stream | row)
         counts = {"people": len(people), "detections": len(frame.observations)}
         revised = [asdict(one) for one in frame.tracker.revised]
-        rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))
+        found: dict[str, Any] = {"revised": revised} if revised else {}
+        if frame.tracker.learned > learnings:
+            found["scene"] = asdict(frame.tracker.scene)
+        rows.append(of_stream | {"end": frame.t} | counts | found)
         frame.t, frame.number, frame.observations = None, None, []
         return rows
 

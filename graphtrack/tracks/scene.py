@@ -67,6 +67,16 @@ class SceneParameters:
     def __post_init__(self) -> None:
         check_numbers(self)
 
+    def described(self) -> str:
+        """Return what is known of the scene in words, with units."""
+        return (
+            f"people are detected in {100.0 * self.detection_probability:.0f} % of the frames "
+            f"(σ {self.position_std:.2g} m), {self.clutter_density:.2g} false detections a frame and m², "
+            f"{self.duplicate_rate:.2g} duplicates a detection; "
+            f"{3600.0 * self.birth_density:.3g} people come an hour and m², "
+            f"and stay {1.0 / self.death_rate:.3g} s"
+        )
+
     def packed(self, frame_seconds: float) -> tuple[float, ...]:
         """Return the values for kernels, in the order of `kernels.Scene`, for a frame interval in seconds."""
         return (
