@@ -99,6 +99,9 @@ def between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
 LONGEST_HORIZON = 60.0  # longest useful time ahead in seconds
 MOST_TIMES = 1000  # times ahead of one forecast
 MOST_SAMPLES = 100_000  # sampled paths of one forecast
+_FEW, _ALIKE = 0.5, 0.65
+"""Shares of people who deviate up to which, and from which, a place corrects forecasts: see `agreement`."""
+
 _FORGOTTEN = 10.0  # seconds without observation after which people are dropped
 _HEAD_SECONDS = 0.3  # time constant over which directions of the head are averaged
 JUDGED = 2.8  # seconds of observation for a person's outcome to calibrate other forecasts
@@ -233,7 +236,7 @@ class Forecaster(Saved):
         # Cached predictions of each slot, and their time.
         self._moved, self._looked = np.zeros(0), np.zeros(0)
         self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
-        self._nearby = np.zeros((0, 3, len(LAGS)), complex)
+        self._nearby = np.zeros((0, 4, len(LAGS)), complex)
 
     def update(
         self,
@@ -450,10 +453,11 @@ class Forecaster(Saved):
         old = self._looked[at] != self.t
         if old.any():
             nearby, rows = self._paths.near(position[old], velocity[old]), at[old]
-            self._nearby[rows] = np.stack([nearby.weight, nearby.deviation, nearby.square], axis=1)
+            values = nearby.weight, nearby.deviation, nearby.square, nearby.distance
+            self._nearby[rows] = np.stack(values, axis=1)
             self._looked[rows] = self.t
-        weight, deviation, square = np.moveaxis(self._nearby[at], 1, 0)
-        return NearbyDeviations(weight.real, deviation, square.real)
+        weight, deviation, square, distance = np.moveaxis(self._nearby[at], 1, 0)
+        return NearbyDeviations(weight.real, deviation, square.real, distance.real)
 
     def _expected(self, at: NDArray[np.int64], ahead: FloatArray) -> Expected:
         position, velocity, variance = self._going(at)
@@ -465,7 +469,7 @@ class Forecaster(Saved):
         straight = velocity[:, None] * ahead * turned
         nearby = self._near(at, position, velocity)
         prior = nearby.weight / (nearby.weight + self.parameters.place_prior)
-        shift = prior * nearby.deviation
+        shift = prior * agreement(nearby) * nearby.deviation
         about = nearby.square - 2.0 * (shift.conj() * nearby.deviation).real + np.abs(shift) ** 2
         interpolate, growth = between_lags(ahead)
         correction = (shift @ interpolate.T) * growth
@@ -478,6 +482,18 @@ class Forecaster(Saved):
             weight=nearby.weight @ interpolate.T,
             square=(np.maximum(about, 0.0) / 2 / LAGS**2) @ interpolate.T * ahead**2,
         )
+
+
+def agreement(nearby: NearbyDeviations) -> FloatArray:
+    """Return (n, G) the share of the mean deviation that corrects a forecast: 0 where few deviate far.
+
+    Of people of whom a share p deviates by the same amount and the others do not, the squared mean of the
+    absolute deviations is p times the mean square; of people who deviate alike it is at least π/4 of it
+    (Gaussian deviations). Where few start, those who wait are not on their way.
+    """
+    share = nearby.distance**2 / np.maximum(nearby.square, 1e-12)
+    found: FloatArray = np.clip((share - _FEW) / (_ALIKE - _FEW), 0.0, 1.0)
+    return found
 
 
 def _plane(points: ComplexArray) -> FloatArray:

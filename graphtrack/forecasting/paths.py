@@ -104,6 +104,7 @@ class NearbyDeviations:
     weight: FloatArray  # (n, G) effective number of anchors
     deviation: ComplexArray  # (n, G) complex, their mean deviation from constant velocity, m
     square: FloatArray  # (n, G) their mean squared deviation, m²
+    distance: FloatArray  # (n, G) the mean of their absolute deviations, m
 
 
 class PathMemory(Saved):
@@ -123,7 +124,7 @@ class PathMemory(Saved):
         self._random = np.random.default_rng(0)
         self._count = 0
         self._where = np.zeros((4, _CAPACITY))  # double: places may be far from the origin
-        self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
+        self._outcome = np.zeros((_CAPACITY, 5 * len(LAGS)), np.float32)
         self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
         self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
         self._next = np.full(_CAPACITY, len(LAGS))
@@ -224,7 +225,8 @@ class PathMemory(Saved):
         self._outcome[at, lag] = deviation.real
         self._outcome[at, size + lag] = deviation.imag
         self._outcome[at, 2 * size + lag] = np.abs(deviation) ** 2
-        self._outcome[at, 3 * size + lag] = 1.0
+        self._outcome[at, 3 * size + lag] = np.abs(deviation)
+        self._outcome[at, 4 * size + lag] = 1.0
         error = np.abs(deviation - self._expected[at, lag]) / self._spread[at, lag]
         judged = np.isfinite(error)
         self._judge(lag[judged], error[judged])
@@ -233,7 +235,7 @@ class PathMemory(Saved):
         """Return the deviations of earlier people near those positions and velocities (n,)."""
         here = self._scaled(position, velocity)
         sums = kernel_sums(here, self._where, self._outcome, len(self))
-        real, imaginary, square, weight = np.split(sums, 4, axis=1)
+        real, imaginary, square, distance, weight = np.split(sums, 5, axis=1)
         total = np.maximum(weight, 1e-12)
         deviation: ComplexArray = np.asarray((real + 1j * imaginary) / total, dtype=complex)
-        return NearbyDeviations(weight, deviation, square / total)
+        return NearbyDeviations(weight, deviation, square / total, distance / total)

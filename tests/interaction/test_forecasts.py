@@ -360,3 +360,24 @@ def test_rows_of_two_sensors_at_one_time_are_merged(apart):
     one = gt.Track(1, 2 * np.arange(n), t[::2], mean, position_std=std[::2] / 2**0.5)
     found, expected = gt.forecast(both).to_table(), gt.forecast(one).to_table()
     np.testing.assert_allclose(found.to_numpy(), expected.to_numpy(), rtol=1e-6, atol=1e-6)
+
+
+def test_people_who_wait_are_not_on_their_way_where_others_start():
+    """Each waits for twenty seconds and goes; on average they would be on their way."""
+    forecaster, rng = gt.Forecaster(), np.random.default_rng(0)
+    off, started = [], []
+    for k in range(700):
+        t = 0.4 * k
+        ids = [p for p in range(60) if 4.0 * p <= t < 4.0 * p + 30.0]
+        gone = np.array([max(t - 4.0 * p - 20.0, 0.0) for p in ids])
+        place = np.column_stack([1.3 * gone, np.zeros(len(ids))]) + rng.normal(0.0, 0.01, (len(ids), 2))
+        forecaster.update(t, ids, place)
+        if t > 120.0 and k % 5 == 0:
+            found = forecaster.forecast([4.8])
+            for one, position in zip(found.track_id.tolist(), found.position[:, 0], strict=True):
+                waits = t - 4.0 * one
+                if 3.0 < waits < 15.0:
+                    off.append(np.hypot(*position))
+                elif 23.0 < waits < 25.0:
+                    started.append(np.hypot(*(position - (1.3 * (waits + 4.8 - 20.0), 0.0))))
+    assert np.mean(off) < 0.1 and np.mean(started) < 0.5
