@@ -61,22 +61,23 @@ def velocities_of(
     """
     steps = max(1, round(_APART / step_seconds))
     seconds = steps * step_seconds
-    count = np.bincount(frame - frame[0], minlength=steps + 1)
+    frames, count = np.unique(frame, return_counts=True)
+    after = np.minimum(np.searchsorted(frames, frames + steps), len(frames) - 1)
+    later = np.where(frames[after] == frames + steps, count[after], 0)  # detections so many steps later
     centres = _centres()
     prior = _of_walkers(centres)
-    if len(count) <= steps:
+    if not later.any():
         return _packed(prior, centres @ axes, rest_std)
     every = max(1, len(frame) // _MOST_DETECTIONS)
     chosen = (frame - frame[0]) % every == 0
-    counted = count * (np.arange(len(count)) % every == 0)
+    counted = count * ((frames - frames[0]) % every == 0)
     place = position @ axes.T
     found = _histogram(place, frame, chosen, steps, seconds)
     within = _histogram(place, frame, chosen, 0, seconds)
     of_two = float(counted @ (count - 1))
-    pairs = float(counted[:-steps] @ count[steps:])
+    pairs, own = float(counted @ later), float(np.minimum(counted, later).sum())
     # A person's pairs are no more than the detections of the frame with fewer.
-    most = _PRIOR_PEOPLE + float((np.minimum(count[:-steps], count[steps:]) * (counted[:-steps] > 0)).sum())
-    across = pairs - float(np.minimum(counted[:-steps], count[steps:]).sum())
+    most, across = _PRIOR_PEOPLE + own, pairs - own
     middle = _BIN * (np.arange(_BINS) + 0.5 * (1 - _BINS))
     shape = _shape(np.asarray(middle, float), centres, (0.5 * _SPACING) ** 2 + 2.0 * (noise / seconds) ** 2)
     # The other person has moved too.

@@ -297,9 +297,10 @@ def make_association_ready() -> None:
 
 
 def _rehearse() -> None:
-    """Associate the detections of two people who cross, and call what the online association alone calls."""
-    frame = np.repeat(np.arange(12), 2)
-    position = np.column_stack([0.1 * frame, (frame - 5.5) * np.tile([0.1, -0.1], 12)])
+    """Associate detections of two people who cross, and call what the online association alone calls."""
+    frame = np.repeat(np.arange(12), 3)
+    position = np.column_stack([0.1 * frame, (frame - 5.5) * np.tile([0.1, -0.1, 0.0], 12)])
+    position += np.random.default_rng(0).normal(0.0, np.tile([0.05, 0.05, 0.5], 12)[:, None], position.shape)
     detections = Detections(frame, np.asarray(0.1 * frame, float), position)
     associate_detections(detections)
     count_up(chains_of(detections), np.zeros(len(frame), np.int64))
