@@ -92,7 +92,7 @@ def associate_detections(
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedScene:
     """Parameters of a scene, learned from some of its detections."""
 
     scene: SceneParameters
@@ -101,7 +101,7 @@ class Learned:
     appearance: AppearanceEvidence
 
 
-def learn_from_detections(detections: Detections, known: Known) -> Learned:
+def learn_from_detections(detections: Detections, known: Known) -> LearnedScene:
     """Learn the unknown parameters of a scene from some of its detections, by finding the people in them."""
     search = _Search(detections, known)
     search.run(LEARNING_ROUNDS)
@@ -109,7 +109,7 @@ def learn_from_detections(detections: Detections, known: Known) -> Learned:
     appearance = search.appearance_of(identity)
     search.adopt(scene)
     rates = learn_ground_rates(search.chains, identity)
-    return Learned(scene, search.velocities, rates, appearance)
+    return LearnedScene(scene, search.velocities, rates, appearance)
 
 
 def repair_detections(

@@ -26,7 +26,7 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.moves import Moves
-from graphtrack.association.offline import Learned, learn_from_detections, make_association_ready
+from graphtrack.association.offline import LearnedScene, learn_from_detections, make_association_ready
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -140,7 +140,7 @@ class History(Saved):
         more = 1.0 + _ROUNDING
         return self.frames >= frames and self.people * more >= people and self.watched * more >= self.due
 
-    def learned(self, known: Known) -> Learned:
+    def learned(self, known: Known) -> LearnedScene:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
         self.learnings += 1
         self.due = min(2.0 * self.watched, self.watched + RELEARNED)
