@@ -196,15 +196,19 @@ def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArr
 
 def _at_instants(track: Track, instants: FloatArray, tolerance: float) -> Track:
     """Return the rows of a track that are nearest to some instants (f,), numbered by them."""
-    nearest = np.clip(np.searchsorted(instants, track.t), 1, max(len(instants) - 1, 1))
-    nearest = np.minimum(nearest, len(instants) - 1)
-    earlier = np.maximum(nearest - 1, 0)
-    nearest = np.where(track.t - instants[earlier] <= instants[nearest] - track.t, earlier, nearest)
-    away = np.abs(track.t - instants[nearest])
-    order = np.lexsort((away, nearest))
-    best = order[np.flatnonzero(np.diff(nearest[order], prepend=-1))]
-    best = np.sort(best[away[best] <= tolerance + TIME_TOLERANCE])
-    return replace(track[best], frame=nearest[best].astype(np.int64))
+    here, instant = nearest_times(track.t, instants, tolerance)
+    order = np.lexsort((np.abs(track.t[here] - instants[instant]), instant))
+    best = order[np.flatnonzero(np.diff(instant[order], prepend=-1))]
+    return replace(track[here[best]], frame=instant[best])
+
+
+def nearest_times(t: FloatArray, times: FloatArray, tolerance: float) -> tuple[IntArray, IntArray]:
+    """Return the indices of ``t`` with one of the sorted ``times`` within a tolerance, and of that one."""
+    after = np.minimum(np.searchsorted(times, t), len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(times[before] - t) <= np.abs(times[after] - t), before, after)
+    here = np.flatnonzero(np.abs(times[nearest] - t) <= tolerance + TIME_TOLERANCE)
+    return here, nearest[here]
 
 
 Pairs = tuple[IntArray, IntArray, FloatArray]

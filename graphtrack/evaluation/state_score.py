@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.identities import hota_matches, identity_pairs, similarity_of, threshold_of
-from graphtrack.evaluation.matching import Detections, share_frames
+from graphtrack.evaluation.matching import Detections, nearest_times, share_frames
 from graphtrack.evaluation.metrics import (
     DEGREES,
     TrackCalibration,
@@ -28,7 +28,6 @@ from graphtrack.evaluation.metrics import (
 )
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference
 from graphtrack.tracks.display import counted
-from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -226,7 +225,7 @@ def _at_instants(
     index = np.repeat(np.arange(len(tracks)), lengths)
     row = np.concatenate([np.arange(length) for length in lengths])
     place = np.concatenate([getattr(track, channel) for track in tracks])
-    here, instant = _nearest(np.concatenate([track.t for track in tracks]), times, tolerance)
+    here, instant = nearest_times(np.concatenate([track.t for track in tracks]), times, tolerance)
     index, row, place = index[here], row[here], place[here]
     order = np.lexsort((index, instant))
     order = order[np.isfinite(place[order]).all(axis=1)]
@@ -275,18 +274,9 @@ def _as_truth(track: Track) -> Track:
 
 def _same_times(t: FloatArray, truth: FloatArray) -> tuple[IntArray, IntArray]:
     """Return rows of both with matching times; each row of the truth is the nearest in time."""
-    return _nearest(t, truth, SAME_TIME * _step(np.diff(truth)))
+    return nearest_times(t, truth, SAME_TIME * _step(np.diff(truth)))
 
 
 def _step(steps: FloatArray) -> float:
     """Return the median of steps (n,) in seconds; a millisecond if there are none."""
     return float(np.median(steps)) if len(steps) else 1e-3
-
-
-def _nearest(t: FloatArray, times: FloatArray, tolerance: float) -> tuple[IntArray, IntArray]:
-    """Return the indices of ``t`` with one of the sorted ``times`` within a tolerance, and of that one."""
-    after = np.minimum(np.searchsorted(times, t), len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(times[before] - t) <= np.abs(times[after] - t), before, after)
-    here = np.flatnonzero(np.abs(times[nearest] - t) <= tolerance + TIME_TOLERANCE)
-    return here, nearest[here]

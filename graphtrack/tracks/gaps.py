@@ -95,25 +95,25 @@ def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[Tr
     absent, jumped = [], []
     for track in tracks:
         gap, jump = np.diff(track.t) > longest + TIME_TOLERANCE, _jumps(track)
-        absent += [track.track_id] * bool(gap.any())
-        jumped += [track.track_id] * bool((jump & ~gap).any())
+        name = names.get(track.track_id, str(track.track_id))
+        absent += [name] * bool(gap.any())
+        jumped += [name] * bool((jump & ~gap).any())
         ends = [0, *(np.flatnonzero(gap | jump) + 1).tolist(), len(track)]
         for k, (first, end) in enumerate(pairwise(ends)):
             part = track if len(ends) == 2 else track[first:end]
             if k:
                 part = replace(part, track_id=next(free))
                 if names:
-                    names[part.track_id] = f"{names.get(track.track_id, track.track_id)} ({k + 1})"
+                    names[part.track_id] = f"{name} ({k + 1})"
             parts.append(part)
     if len(parts) == len(tracks):
         return tracks, ()
     found = tracks.with_tracks(parts)
     if names and tracks.as_read is not None:
         found = replace(found, as_read=replace(tracks.as_read, names=names))
-    reasons = (f"for more than {longest:g} s", absent), ("and came back where nobody walks", jumped)
-    each = "; each time it comes back it is another track (--split-gap)"
-    notes = [f"{listed(map(str, ids))} absent {why}{each}" for why, ids in reasons if ids]
-    return found, tuple(f"id {note}" for note in notes)
+    reasons = (absent, f"absent for more than {longest:g} s"), (jumped, "is where nobody walks in the time")
+    another = "split there into tracks of their own (--split-gap)"
+    return found, tuple(f"id {listed(ids)} {why}: {another}" for ids, why in reasons if ids)
 
 
 def _jumps(track: Track) -> NDArray[np.bool_]:
