@@ -180,7 +180,7 @@ class _Search(Moves):
         for k in range(rounds):
             if k:
                 self.adopt(self.learned())
-            else:
+            elif rounds > 1:
                 self.look_near()
             self.worthless = 0.0
             self.join_generously()
@@ -235,8 +235,12 @@ class _Search(Moves):
 
     def look_near(self) -> None:
         """Look no further than a few seconds, until parameters are learned that tell what may be far."""
+        self.packed = self.packed._replace(longest_gap=self._first_gap())
+
+    def _first_gap(self) -> float:
+        """Return the longest gap in seconds while it is not known what may be far."""
         longest = max(_FIRST_GAP, _FIRST_FRAMES * self.packed.frame_seconds)
-        self.packed = self.packed._replace(longest_gap=min(self.packed.longest_gap, longest))
+        return min(self.packed.longest_gap, longest)
 
     def join_generously(self) -> None:
         """Sweep once with free births and deaths.
@@ -245,8 +249,7 @@ class _Search(Moves):
         tracks that are not worth both are split again by the sweeps that follow.
         """
         packed = self.packed
-        longest = max(_FIRST_GAP, _FIRST_FRAMES * packed.frame_seconds)
-        gap = min(packed.longest_gap, _JOINED_FRAMES * packed.frame_seconds, longest)
+        gap = min(self._first_gap(), _JOINED_FRAMES * packed.frame_seconds)
         self.packed = packed._replace(
             log_birth=np.log(self.scene.clutter_density), log_death=0.0, longest_gap=gap
         )
