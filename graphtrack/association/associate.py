@@ -100,7 +100,7 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
         std = rows.channels.get("position_std", np.full(len(rows), np.nan))
         rows = rows.with_channels(position_std=np.where(np.isnan(std), declared, std))
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
-    return rows.keep(identity >= 0, FALSE).with_notes(note)
+    return rows.keep(identity >= 0, FALSE).with_notes(note, learned_scene(found.scene))
 
 
 def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
@@ -127,9 +127,13 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     labels = {one: rows.labels[one] for one in np.unique(track_id).tolist() if one in rows.labels}
     rows = replace(rows, track_id=track_id, has_identity=True, labels=labels)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
-    return rows.with_notes(
-        f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed identity"
-    )
+    note = f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed identity"
+    return rows.with_notes(note, learned_scene(found.scene))
+
+
+def learned_scene(scene: SceneParameters, when: str = "") -> str:
+    """Return a note that shows what was learned of a scene, so that a misunderstood scene is recognised."""
+    return f"scene, learned{when}: {scene.described()}"
 
 
 def usable(rows: Rows) -> Rows:

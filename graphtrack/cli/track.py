@@ -176,6 +176,7 @@ def _track_detections(
     verbose: bool,
 ) -> None:
     """Track the detections of a file online, and write the estimates without revision."""
+    from graphtrack.association.associate import learned_scene
     from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
@@ -187,7 +188,7 @@ def _track_detections(
     learned: list[str] = []
 
     def note(t: float) -> None:
-        learned.append(f"  scene, learned at {t:g} s: {tracker.scene.described()}")
+        learned.append(f"  {learned_scene(tracker.scene, f' at {t:g} s')}")
 
     start = time.perf_counter()
     with progress_bar(len(rows), "detections") as advance:

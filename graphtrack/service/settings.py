@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from ipaddress import ip_address
 from itertools import accumulate
@@ -177,6 +177,21 @@ class Metrics:
         self.waiting = Gauge(
             "graphtrack_rows_waiting", "Received rows that are not answered yet", registry=self.registry
         )
+        self.scene = Gauge(
+            "graphtrack_scene",
+            "Parameters that an open stream has learned of the scene of its detections",
+            ["stream", "parameter"],
+            registry=self.registry,
+        )
+
+    def show_scene(self, stream: str, parameters: Mapping[str, float]) -> None:
+        """Set what a stream has learned of its scene, by the names and in the units of `SceneParameters`."""
+        for name, value in parameters.items():
+            self.scene.labels(stream, name).set(value)
+
+    def forget_scene(self, stream: str) -> None:
+        """Remove what a stream has learned."""
+        self.scene.remove_by_labels({"stream": stream})
 
     def text(self) -> bytes:
         """Return all counters in the text format."""

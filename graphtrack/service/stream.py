@@ -19,6 +19,7 @@ from graphtrack.service.worker import ASIDE, DONE, PIECE, WARM, work
 FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windows
 PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
 _ERROR = b'"error"'
+_SCENE = b'"scene":{'
 _LEAST_PATIENCE = 10.0
 """Seconds for an answer that a process always has: the first one waits until it has started."""
 _FILES = 16
@@ -84,6 +85,8 @@ class Stream:
                     continue
                 if _ERROR in line and not line.startswith(ASIDE):
                     self._metrics.refused_rows.inc()
+                if _SCENE in line and not line.startswith(ASIDE):
+                    self._metrics.show_scene(self.name, json.loads(line)["scene"])
                 messages.append(line.removeprefix(ASIDE).decode())
             if messages:
                 yield messages
@@ -133,6 +136,7 @@ class Stream:
         status = await self.status()
         self._metrics.waiting.dec(self._waiting)
         self._metrics.people.dec(self.people)
+        self._metrics.forget_scene(self.name)
         self._arrived.clear()
         if status not in (0, 1):
             self._metrics.broken.inc()

@@ -194,6 +194,22 @@ def test_counts(service):
     assert json.loads(service.request("GET", "/health")[1]) == {"status": "ok", "streams": 0}
 
 
+def test_the_learned_scene_is_a_gauge_while_the_stream_is_open(service):
+    """Three people walk abreast at 2 Hz, each detected in each frame."""
+    with service.connect("hall") as connection:
+        for k in range(24):
+            for x in (0.0, 3.0, 6.0):
+                connection.send(json.dumps({"t": 0.5 * k, "x": x, "y": 0.6 * k}))
+            connection.send(json.dumps({"end": 0.5 * k}))
+        kept = re.compile(r'graphtrack_scene\{parameter="detection_probability",stream="hall"\} (\S+)')
+        wait_until(lambda: kept.search(service.request("GET", "/metrics")[1]))
+        found = kept.search(service.request("GET", "/metrics")[1])
+        assert found is not None and float(found[1]) > 0.8
+        connection.send("")
+        everything(connection)
+    wait_until(lambda: "graphtrack_scene{" not in service.request("GET", "/metrics")[1])
+
+
 @pytest.mark.slow
 def test_a_token_is_asked_for_and_people_are_bounded():
     with serving("--max-people", "2", "--forget-after", "1", GRAPHTRACK_TOKEN="secret") as service:
