@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
+    from graphtrack.graphs import graph_of, tracks_of
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
+    from graphtrack.inference.graph.recording import key_of
     from graphtrack.interaction.attention import GazeTargets, OnlineAttention
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
-    from graphtrack.model import Model, Observation, Parameters, Term, presets
+    from graphtrack.model import Model, Observation, Parameters, Term, chord, presets, term
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
@@ -75,13 +77,16 @@ __all__ = [
     "TrackingScore",
     "add_noise",
     "associate",
+    "chord",
     "compare",
     "forecast",
     "from_movement",
     "from_pedpy",
     "from_supervision",
     "from_ultralytics",
+    "graph_of",
     "groups",
+    "key_of",
     "presets",
     "read",
     "score",
@@ -89,12 +94,14 @@ __all__ = [
     "simulate",
     "smooth",
     "solve",
+    "term",
     "to_geopandas",
     "to_movement",
     "to_pedpy",
     "to_polars",
     "to_supervision",
     "track_online",
+    "tracks_of",
     "view",
     "warm_up",
     "write",
@@ -112,6 +119,8 @@ _HOMES = {
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",
+    "graphs": "graph_of tracks_of",
+    "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",
     "interaction.attention": "GazeTargets OnlineAttention",
     "interaction.groups": "Groups OnlineGroups groups",
@@ -122,7 +131,7 @@ _HOMES = {
     "io.formats.movement": "from_movement to_movement",
     "io.formats.pedpy": "from_pedpy to_pedpy",
     "io.libraries": "to_geopandas",
-    "model": "Model Observation Parameters Term presets",
+    "model": "Model Observation Parameters Term chord presets term",
     "report.page": "write_report",
     "simulation.degrade": "add_noise",
     "simulation.sampling": "simulate",

@@ -401,6 +401,25 @@ def _constants(
     ]
 
 
+def parameters_of(constants: PersonalConstants, model: Model) -> dict[str, float]:
+    """Return a person's parameters by name, as ``group.key``, with the most probable coupling."""
+    best = max(constants.coupling, key=lambda name: constants.coupling[name], default=COUPLINGS[-1].name)
+    (coupling,) = (one for one in COUPLINGS if one.name == best)
+    found = {
+        "motion.acceleration_density": constants.acceleration_density,
+        "orientation.body_diffusion": constants.body_diffusion,
+        "orientation.head_diffusion": constants.head_diffusion,
+    }
+    found |= {name: float(value[0]) for name, value in _strengths(coupling, model, 1).items()}
+    for name in ("position_std", "pixel_std"):
+        if name in constants.noise:
+            found[f"likelihood.{name}"] = constants.noise[name]
+    for name in ("body", "head"):
+        if f"{name}_std" in constants.noise:
+            found[f"likelihood.{name}_kappa"] = constants.noise[f"{name}_std"] ** -2
+    return found
+
+
 def mixture(states: FloatArray, covariance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return means (n, 6) and covariances (n, 6, 6) of mixtures of states (k, n, 6).
 

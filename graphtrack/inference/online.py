@@ -21,7 +21,7 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.chain.covariance import as_von_mises
+from graphtrack.inference.chain.covariance import limit_angles
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.engines import (
     OnlineEngine,
@@ -384,7 +384,7 @@ class OnlineSolver:
         return smoother
 
     def _terms(self) -> list[str]:
-        return [type(term).__name__ for term in self.model.terms]
+        return [term.label for term in self.model.terms]
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -443,7 +443,7 @@ class OnlineSolver:
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
             covariance = covariance.copy()
-            as_von_mises(covariance[None])
+            limit_angles(covariance[None])
         body, head = map(wrapped, state[4:].tolist())
         if (last := self._last) is not None:
             seconds, (of_body, of_head) = observation.t - last.t, np.diagonal(covariance)[4:].tolist()

@@ -181,15 +181,22 @@ class States:
     head: FloatArray
 
 
-def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
-    """The steps of a whole track, linked."""
+def chain(track: Track, camera: GroundCamera | None = None, first: int = 0) -> list[Step]:
+    """The steps of a whole track, linked; ``first``: index of the first one's variables."""
     present = np.isfinite(track.position).all(axis=1)
     start = int(np.argmax(present)) if present.any() else 0
     steps: list[Step] = []
     for k, observation in enumerate(observations(track)):
         previous = steps[-1] if steps else None
         steps.append(
-            Step(k, observation, previous, seconds_between(previous, observation), k == start, camera)
+            Step(
+                first + k,
+                observation,
+                previous,
+                seconds_between(previous, observation),
+                k == start,
+                camera,
+            )
         )
     return steps
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
-from costs import cost_around, gradient, hessian, stated_blocks, states_of
+from costs import cost_around, gradient, states_of
+from kernels import rows_of
 from random_tracks import contradicted, hard_models, lens_camera, random_parameters, random_track
 from scipy import stats
 from selection import others_slow
@@ -19,7 +21,10 @@ from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track
 from graphtrack.inference.chain.initialisation import pack
 from graphtrack.inference.engines import engine_of
 from graphtrack.inference.graph.batch import smooth_graph
+from graphtrack.inference.graph.recording import recording_graph, recording_tracks
+from graphtrack.inference.state import values_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
+from graphtrack.model.observation import chain
 from graphtrack.model.terms.motion import Motion
 from graphtrack.smoothing import solve
 from graphtrack.tracks.track import Track, TrackSet
@@ -92,8 +97,8 @@ def test_the_optimum_is_that_of_gtsams_graph(
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 @pytest.mark.parametrize("robust", ["none", "huber", "cauchy"])
 @pytest.mark.parametrize("seen", ["angles", "classes", "pixels"])
-def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust: str, seen: str) -> None:
-    track, camera = walk(3, seed=3, uneven=True, noise=0.15, classes=seen == "classes"), None
+def test_covariances_are_the_marginals_of_the_graph(preset: str, robust: str, seen: str) -> None:
+    track, camera = walk(3, seed=3, uneven=True, noise=0.15, classes=seen == "classes", track_id=0), None
     parameters = Parameters(
         likelihood=LikelihoodParameters(robust=robust, outlier_probability=0.1, robust_threshold=1.3)
     )
@@ -102,15 +107,14 @@ def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust
         track = replace(track, pixel=camera.ground_to_image(track.position))
     model = Model(preset, parameters)
     found = smooth_track(track, model, camera, EXACTLY, engine="chain").track
-    size = 6 * len(track)
-    covariance = np.linalg.inv(hessian(cost_around(states_of(found), track, model, camera), size))
-    for block, expected in zip(
-        found.covariance, stated_blocks(covariance, range(6), model, found), strict=True
-    ):
-        scale = np.sqrt(np.diag(expected))
-        np.testing.assert_allclose(
-            block / scale[:, None] / scale, expected / scale[:, None] / scale, atol=5e-4
-        )
+    alone = TrackSet((track,), camera=camera)
+    graph, values = recording_graph(alone, [model])
+    values.update(values_of(chain(track), rows_of(states_of(found)), model))
+    (expected,) = recording_tracks(values, alone, [model], gtsam.Marginals(graph, values))
+    assert found.covariance is not None and expected.covariance is not None
+    scale = np.sqrt(np.einsum("nii->ni", expected.covariance))
+    both = scale[:, :, None] * scale[:, None, :]
+    np.testing.assert_allclose(found.covariance / both, expected.covariance / both, atol=5e-4)
 
 
 # The global optimum.

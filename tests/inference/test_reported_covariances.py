@@ -1,4 +1,4 @@
-"""Reported covariances: angles as von Mises densities, everything else as the inverse curvature."""
+"""Reported covariances: the inverse curvature, with angles of no more than the uniform density's variance."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reported_covariances import reported
 
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.covariance import as_von_mises
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
+from graphtrack.inference.chain.covariance import admit_rivals, limit_angles
 
 
 def random_covariances(rng: np.random.Generator, count: int, scale: float) -> FloatArray:
@@ -17,28 +17,23 @@ def random_covariances(rng: np.random.Generator, count: int, scale: float) -> Fl
 
 
 @pytest.mark.parametrize("missing", [[], [4], [5], [4, 5]])
-def test_angles_have_the_spread_of_a_von_mises_density(missing: list[int]) -> None:
-    rng = np.random.default_rng(0)
-    # The table is coarse from 100 to 1000 rad², where an angle may be anything.
-    for size, within in ((1e-3, 1e-6), (0.1, 1e-4), (1.0, 5e-4), (30.0, 0.1), (1e4, 1e-6)):
-        covariance = random_covariances(rng, 150, size)
-        covariance[:, missing] = covariance[:, :, missing] = np.nan
-        expected, found = reported(covariance), covariance.copy()
-        as_von_mises(found)
-        spread = np.sqrt(np.abs(np.einsum("nii->ni", expected)))
-        apart = (found - expected) / (spread[:, :, None] * spread[:, None, :])
-        np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
-        np.testing.assert_array_equal(found[:, :4, :4], covariance[:, :4, :4])
-        assert np.nanmax(np.abs(apart), initial=0.0) < within
+@pytest.mark.parametrize("size", [1e-3, 0.1, 1.0, 1e4])
+def test_angles_are_limited_and_keep_their_correlations(missing: list[int], size: float) -> None:
+    covariance = random_covariances(np.random.default_rng(0), 150, size)
+    covariance[:, missing] = covariance[:, :, missing] = np.nan
+    expected, found = reported(covariance), covariance.copy()
+    limit_angles(found)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_array_equal(found[:, :4, :4], covariance[:, :4, :4])
+    assert np.nanmax(np.einsum("nii->ni", found)[:, 4:], initial=0.0) <= UNIFORM_STD**2 * (1.0 + 1e-12)
+    complete = np.setdiff1d(np.arange(6), missing)
+    assert np.linalg.eigvalsh(found[:, complete[:, None], complete]).min() > -1e-9 * size**2
 
 
-def test_a_frame_that_is_known_for_certain_stays_so() -> None:
-    found = np.zeros((1, 6, 6))
-    as_von_mises(found)
-    assert not found[0, 4:].any()
-
-
-def test_reported_covariances_are_positive_definite() -> None:
-    found = random_covariances(np.random.default_rng(1), 200, 0.5) + 1e-6 * np.eye(6)
-    as_von_mises(found)
-    assert np.linalg.eigvalsh(found).min() > 0.0
+def test_another_basin_adds_its_spread() -> None:
+    covariance = 0.01 * np.tile(np.eye(6), (2, 1, 1))
+    found, apart = covariance.copy(), np.array([[0.0, 0.0], [0.5, -9.0]])
+    admit_rivals(found, apart)
+    np.testing.assert_array_equal(found[0], covariance[0])
+    covariance[1, 4:, 4:] += apart[1][:, None] * apart[1]
+    np.testing.assert_allclose(found[1], reported(covariance)[1], rtol=1e-12)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from reported_covariances import reported
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import window_graph
@@ -83,15 +82,3 @@ def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) 
             both = cost(d) + cost(-d) - 2.0 * here
             found[i, j] = found[j, i] = 0.5 * (both - alone[i] - alone[j])
     return found / step**2
-
-
-def stated_blocks(
-    covariance: np.ndarray, columns: Sequence[int], model: Model, estimate: Track
-) -> np.ndarray:
-    """Reported covariances (n, 6, 6), NaN elsewhere, of an estimate with a joint covariance."""
-    assert estimate.velocity is not None
-    m, used = len(columns), np.ix_(list(columns), list(columns))
-    blocks = np.full((len(estimate), 6, 6), np.nan)
-    for k in range(len(estimate)):
-        blocks[k][used] = covariance[k * m : (k + 1) * m, k * m : (k + 1) * m]
-    return reported(blocks)

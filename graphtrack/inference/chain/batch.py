@@ -17,7 +17,6 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins, unwind
 from graphtrack.inference.chain.covariance import (
     admit_rivals,
-    as_von_mises,
     find_covariances,
     hide,
 )
@@ -394,7 +393,6 @@ def solve_packed(
         initialise(problem, linear_part(packed), angles_observed, np.empty((3, longest)), result.states)
         solve_terms(problem, Options(max_iterations, tolerance, basin_search), result, in_lanes=in_lanes)
         finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
-    as_von_mises(result.covariance)
     admit_rivals(result.covariance, result.apart)
     return result
 

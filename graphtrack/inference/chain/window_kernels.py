@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basins, unwind
-from graphtrack.inference.chain.covariance import as_von_mises, hide
+from graphtrack.inference.chain.covariance import hide, limit_angles
 from graphtrack.inference.chain.newton import (
     COST,
     EXACT,
@@ -441,7 +441,7 @@ def report(
         hide(BODY, advanced.state[p], reported)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], reported)
-    as_von_mises(advanced.covariance[p : p + 1])
+    limit_angles(advanced.covariance[p : p + 1])
 
 
 @allocating

@@ -12,7 +12,7 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
-from graphtrack.inference.chain.covariance import as_von_mises
+from graphtrack.inference.chain.covariance import limit_angles
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.inference.engines import (
     Solution,
@@ -29,15 +29,12 @@ from graphtrack.inference.state import Window, states_of, values_of, variable_ke
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import von_mises_prior
 from graphtrack.model.observation import chain
+from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
-ANCHOR_KAPPA = 1e-4
-"""Concentration at which first orientations are held. GTSAM rejects a clique whose last pivot is less than
-2⁻²⁴ of the previous one, as between the turning at video frame rates and a weaker anchor."""
 
-
-def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+def joined(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
     """Some factors as a graph."""
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
@@ -50,7 +47,7 @@ def window_graph(window: Window, model: Model) -> gtsam.NonlinearFactorGraph:
     inside = frozenset(keys_of(window.steps, model))
     factors = [factor for step in window.steps for factor in model.factors(step)]
     factors += beginning(window, model)
-    return graph_of(factor for factor in factors if inside.issuperset(factor.keys()))
+    return joined(factor for factor in factors if inside.issuperset(factor.keys()))
 
 
 def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
@@ -147,7 +144,7 @@ def smooth_graph(
         ) from error
     states = states_of(values, steps, model)
     offsets = np.array([0, len(track)])
-    as_von_mises(covariance)
+    limit_angles(covariance)
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     for reason in lost_by_rounding(track.dt, offsets, covariance, model).values():

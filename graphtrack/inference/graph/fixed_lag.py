@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance, keys_of
+from graphtrack.inference.graph.batch import beginning, descend, joined, joint_covariance, keys_of
 from graphtrack.inference.state import (
     EMPTY,
     MarginalPrior,
@@ -105,9 +105,9 @@ class FixedLag:
     def _solve(self, window: Window) -> Newest:
         steps, made = window.steps, self._factors
         self._factors = {
-            step: made[step] if step in made else graph_of(self._model.factors(step)) for step in steps
+            step: made[step] if step in made else joined(self._model.factors(step)) for step in steps
         }
-        start = graph_of(beginning(window, self._model))
+        start = joined(beginning(window, self._model))
         graph = gtsam.NonlinearFactorGraph(start)
         for step in steps:
             graph.push_back(self._factors[step])

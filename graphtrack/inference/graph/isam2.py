@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import ANCHOR_KAPPA, beginning, graph_of, joint_covariance, keys_of
+from graphtrack.inference.graph.batch import beginning, joined, joint_covariance, keys_of
 from graphtrack.inference.state import (
     EMPTY,
     Angles,
@@ -28,6 +28,7 @@ from graphtrack.inference.state import (
 )
 from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
+from graphtrack.model.terms.orientation import ANCHOR_KAPPA
 from graphtrack.packages import gtsam
 
 _WILDFIRE = 1e-6  # Metres, m/s or radians, below which GTSAM stops back-substitution into the past
@@ -153,7 +154,7 @@ class Isam2:
                     order.insert2(key, 0 if i < n else 1)
                     again.push_back(key)
         values = gtsam.Values() if values is None else values
-        self.isam.update(graph_of(factors), values, [], order, None, again, True)
+        self.isam.update(joined(factors), values, [], order, None, again, True)
 
     def settled(self) -> Newest:
         """The newest step's estimate, once no step is too far from its linearisation point."""
@@ -210,7 +211,7 @@ class Isam2:
         held = beginning(firm, self._model)
         factors = [self._model.factors(step) for step in steps]
         values = values_of(steps, window.states, self._model)
-        graph = graph_of([*held, *(factor for own in factors for factor in own)])
+        graph = joined([*held, *(factor for own in factors for factor in own)])
         indices = iter(isam.update(graph, values).getNewFactorsIndices() if steps else ())
         self.isam, self._waiting, self.steps, self._anchor = isam, None, list(steps), window.anchor
         self._limits = thresholds[present(self._model)]

@@ -165,7 +165,7 @@ def add_head_follows_body(
     gradient[BODY] -= pull
     hessian[HEAD, HEAD] += curvature
     hessian[BODY, BODY] += curvature
-    hessian[HEAD, BODY] -= curvature
+    hessian[HEAD, BODY] -= kappa * cos
     return kappa * (1.0 - cos)
 
 
