@@ -113,7 +113,7 @@ def prepare(
         if type(term) not in KNOWN:
             known = "position, separate, joint-body, joint, intentional or joint-intentional"
             raise InputError(
-                f"the term {type(term).__name__}, which the particle filter does not know",
+                f"the term {term.label}, which the particle filter does not know",
                 f"for it, a model of {known}",
             )
     if image_pose and camera is None:

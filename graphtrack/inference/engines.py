@@ -20,6 +20,8 @@ from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
 from graphtrack.model import Model, Observation, Step
+from graphtrack.model.function_term import FunctionTerm
+from graphtrack.model.model import has_kernels
 from graphtrack.model.observation import chain, observations, seconds_between
 from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.tracks.display import counted, html_pairs
@@ -50,7 +52,7 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
     for term in model.terms:
         if not term.is_compiled:
             raise InputError(
-                f"engine 'chain' and the term {type(term).__name__}, which has no compiled kernel",
+                f"engine 'chain' and the term {term.label}, which has no compiled kernel",
                 "engine 'auto' or 'gtsam'",
             )
     return "chain"
@@ -392,7 +394,7 @@ def make_online_ready(model: Model, engine: OnlineEngine) -> None:
 
 def has_own_kernels(model: Model) -> bool:
     """Return True if a model has kernels that no preset has: an engine is compiled for them."""
-    return any("kernels" in vars(kind) for kind in model.own_terms)
+    return any(map(has_kernels, model.own_terms))
 
 
 def _solver_rehearsals(
@@ -442,8 +444,9 @@ def _like(model: Model) -> Model:
 
 def _kind(model: Model) -> str:
     """Return a key of the functions that a model calls."""
-    own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
-    return "angles" + "".join(own)
+    own = [kind for kind in model.own_terms if has_kernels(kind)]
+    functions = [one.function if isinstance(one, FunctionTerm) else one for one in own]
+    return "angles" + "".join(f" {one.__module__}.{one.__qualname__}" for one in functions)
 
 
 def _solve(model: Model, *, in_lanes: bool = False) -> None:

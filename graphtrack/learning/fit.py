@@ -235,7 +235,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
     for term in model.terms:
         if not term.states("reads"):
             raise InputError(
-                f"the term {type(term).__name__}, whose parameters cannot be learned",
+                f"the term {term.label}, whose parameters cannot be learned",
                 "a preset's terms alone",
             )
     names = dict.fromkeys(name for term in model.terms for name in term.reads or ())

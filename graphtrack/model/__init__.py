@@ -1,6 +1,8 @@
 """The model: terms, parameters and presets."""
 
+from graphtrack.model.derivation import chord
 from graphtrack.model.factors import FactorShapeError, custom_factor
+from graphtrack.model.function_term import FunctionTerm, term
 from graphtrack.model.model import Model, presets
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import (
@@ -15,6 +17,7 @@ from graphtrack.model.term import Term
 __all__ = [
     "CouplingParameters",
     "FactorShapeError",
+    "FunctionTerm",
     "LikelihoodParameters",
     "Model",
     "MotionParameters",
@@ -24,6 +27,8 @@ __all__ = [
     "States",
     "Step",
     "Term",
+    "chord",
     "custom_factor",
     "presets",
+    "term",
 ]

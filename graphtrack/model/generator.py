@@ -16,7 +16,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -26,12 +26,9 @@ from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
 from graphtrack.kernels.lanes import LaneArrayType
 from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of, record_type
-from graphtrack.model import Model, Term, program
+from graphtrack.model import Model, program
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
-
-if TYPE_CHECKING:
-    from graphtrack.model.term import Term
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -154,6 +151,15 @@ def set_quarter_turns(
 '''
 
 
+class Contribution(NamedTuple):
+    """Fields and kernels that a term brings to a program."""
+
+    name: str
+    fields: tuple[Field, ...]
+    shared: tuple[Field, ...]
+    kernels: tuple[Kernel, ...]
+
+
 class FrameProgram:
     """The frame program of some terms: the types of its records, and its source.
 
@@ -176,11 +182,16 @@ class FrameProgram:
     """
 
     def __init__(
-        self, terms: Iterable[type[Term]], title: str, more_terms: Iterable[type[Term]] = (), *fields: Field
+        self,
+        terms: Iterable[Contribution],
+        title: str,
+        more_terms: Iterable[Contribution] = (),
+        *fields: Field,
     ) -> None:
         terms, self._title = list(terms), title
         every = [*more_terms, *terms]
-        frame = dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields])
+        # Further fields first: numba takes records that begin as others do for those, with a warning.
+        frame = dict.fromkeys([*fields, DT, *(f for term in every for f in term.fields)])
         shared = dict.fromkeys(f for term in every for f in term.shared)
         names = [f.name for f in (*frame, *shared)]
         double = {name for name in names if names.count(name) > 1}
@@ -267,34 +278,38 @@ class FrameProgram:
         return text
 
 
-OF_PRESETS = FrameProgram(every_term(), "the presets' terms")
+_OF_PRESETS = [Contribution(kind.__name__, kind.fields, kind.shared, kind.kernels) for kind in every_term()]
+OF_PRESETS = FrameProgram(_OF_PRESETS, "the presets' terms")
 _FUNCTIONS: dict[tuple[str, ...], Any] = {OF_PRESETS.types.frame.names or (): program}
 """Names of the fields of a record → the functions of its program."""
 
 
 def program_of(model: Model) -> FrameProgram:
     """The frame program of a model's compiled terms."""
-    return _program_of(tuple(dict.fromkeys(type(term) for term in model.compiled_terms)))
+    brought = (
+        Contribution(term.label, term.fields, term.shared, term.kernels) for term in model.compiled_terms
+    )
+    return _program_of(tuple(dict.fromkeys(brought)))
 
 
 @cache
-def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
+def _program_of(terms: tuple[Contribution, ...]) -> FrameProgram:
     """The program of a list of terms: the presets' if it has all of them, else a generated one."""
-    if _brought(kinds) <= _brought(every_term()):
+    if _parts(terms) <= _parts(_OF_PRESETS):
         return OF_PRESETS
     functions = [
         function
-        for kind in kinds
-        for kernel in kind.kernels
+        for term in terms
+        for kernel in term.kernels
         for function in (kernel.function, kernel.add_quarter_turns)
         if function is not None
     ]
     for function in functions:
         _check(function)
-    title = ", ".join(kind.__name__ for kind in kinds)
+    title = ", ".join(term.name for term in terms)
     name = f"program_{_digest(functions)}"
     # The names of the record's fields distinguish the solver's machine code on disk.
-    made = FrameProgram(kinds, title, every_term(), Field(name, "program of the record"))
+    made = FrameProgram(terms, title, _OF_PRESETS, Field(name, "program of the record"))
     # Machine code on disk names the module of each function, which is imported when it is loaded.
     module = sys.modules[name] = ModuleType(name)
     exec(compile(made.source, f"<{name}>", "exec"), vars(module))
@@ -302,9 +317,9 @@ def _program_of(kinds: tuple[type[Term], ...]) -> FrameProgram:
     return made
 
 
-def _brought(kinds: Iterable[type[Term]]) -> set[Hashable]:
+def _parts(terms: Iterable[Contribution]) -> set[Hashable]:
     """The kernels and fields of some terms."""
-    return {one for kind in kinds for one in (*kind.fields, *kind.shared, *kind.kernels)}
+    return {one for term in terms for one in (*term.fields, *term.shared, *term.kernels)}
 
 
 def _check(function: Function) -> None:

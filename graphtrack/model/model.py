@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import read_toml
+from graphtrack.model.function_term import FunctionTerm
 from graphtrack.model.observation import OwnParameters, States, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
@@ -69,6 +70,34 @@ def default_parameters(preset: str) -> Parameters:
 BEST_PRESET = "joint"  # The default preset
 
 
+OwnTerm = type[Term] | FunctionTerm
+
+
+def name_of(kind: OwnTerm) -> str:
+    """The name of a term of a user's own, with its numbers."""
+    return repr(kind) if isinstance(kind, FunctionTerm) else kind.__name__
+
+
+def has_kernels(kind: OwnTerm) -> bool:
+    """Return True if a term has compiled kernels: the class itself defines them."""
+    return isinstance(kind, FunctionTerm) or "kernels" in vars(kind)
+
+
+def _made(kinds: Iterable[OwnTerm], parameters: Parameters) -> list[Term]:
+    """Terms of one's own with the parameters of a model; InputError for what is none."""
+    found: list[Term] = []
+    count: dict[str, int] = {}
+    for kind in kinds:
+        if isinstance(kind, FunctionTerm):
+            count[kind.label] = count.get(kind.label, 0) + 1
+            found.append(kind.of_model(parameters, count[kind.label]))
+        elif isinstance(kind, type) and issubclass(kind, Term):
+            found.append(kind(parameters))
+        else:
+            raise InputError(f"a term {shortened(repr(kind))}", "one from term(…), or a subclass of Term")
+    return found
+
+
 class Model:
     """A list of terms. Every engine interprets the same list.
 
@@ -76,7 +105,7 @@ class Model:
     ----------
     preset : name of a list in `presets`
     parameters : their parameters; by default those of the preset
-    terms : further terms of your own, as classes
+    terms : further terms of your own: from `term`, or subclasses of `Term`
     scene : known parameters of birth, death and detection: `SceneParameters`, or a mapping of some of them by
         name
 
@@ -84,7 +113,7 @@ class Model:
     ----------
     scene : name → value of the scene's known parameters; the others are learned from detections
     terms : all terms, in order
-    own_terms : the classes of your own
+    own_terms : those of your own
     has_body, has_head : True if a term acts on them; they are then estimated
     has_groups : True if people face their group; groups are detected where tracks do not have them
     """
@@ -93,7 +122,7 @@ class Model:
         self,
         preset: str = "joint",
         parameters: Parameters | None = None,
-        terms: Iterable[type[Term]] = (),
+        terms: Iterable[OwnTerm] = (),
         scene: GivenScene = None,
     ) -> None:
         if preset not in presets:
@@ -102,17 +131,18 @@ class Model:
         self.parameters = default_parameters(preset) if parameters is None else parameters
         self.own_terms = tuple(terms)
         self.scene = {} if scene is None else known_values(scene)
-        self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
+        standard = [kind(self.parameters) for kind in presets[preset]]
+        self.terms = (*standard, *_made(self.own_terms, self.parameters))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
         self.has_groups = any(isinstance(term, FacesGroup) for term in self.terms)
 
     def __repr__(self) -> str:
-        parts = [repr(self.preset), *(kind.__name__ for kind in self.own_terms), *self._changed()]
+        parts = [repr(self.preset), *map(name_of, self.own_terms), *self._changed()]
         return f"Model({listed(parts, 5)})"
 
     def _repr_html_(self) -> str:
-        terms = [(type(term).__name__, (type(term).__doc__ or "").partition("\n")[0]) for term in self.terms]
+        terms = [(term.label, (term.documented.__doc__ or "").partition("\n")[0]) for term in self.terms]
         return html_table(repr(self), ("term", ""), terms)
 
     def _changed(self) -> list[str]:
@@ -133,7 +163,7 @@ class Model:
         """The same terms and scene with other parameters."""
         return Model(self.preset, parameters, self.own_terms, self.scene)
 
-    def with_terms(self, *kinds: type[Term]) -> Model:
+    def with_terms(self, *kinds: OwnTerm) -> Model:
         """The same model with further terms."""
         return Model(self.preset, self.parameters, (*self.own_terms, *kinds), self.scene)
 
@@ -158,7 +188,7 @@ class Model:
     @property
     def compiled(self) -> Model:
         """The model without those terms of its own that have no compiled kernel."""
-        known = [kind for kind in self.own_terms if "kernels" in vars(kind)]
+        known = [kind for kind in self.own_terms if has_kernels(kind)]
         if len(known) == len(self.own_terms):
             return self
         return Model(self.preset, self.parameters, known, self.scene)
@@ -189,7 +219,7 @@ class Model:
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of a model file. Raise InputError if the model has terms of your own."""
         if self.own_terms:
-            names = ", ".join(kind.__name__ for kind in self.own_terms)
+            names = ", ".join(map(name_of, self.own_terms))
             raise InputError(
                 f"a model with user-defined terms ({names}), which a file cannot hold",
                 "a preset and its parameters: save Model(preset, parameters), add the terms once loaded",

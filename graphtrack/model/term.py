@@ -51,6 +51,16 @@ class Term(ABC):
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
 
+    @property
+    def label(self) -> str:
+        """The name in messages."""
+        return type(self).__name__
+
+    @property
+    def documented(self) -> object:
+        """The class or function whose docstring describes the term."""
+        return type(self)
+
     @abstractmethod
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of a whole track, vectorised over frames: the sum of the kernels' costs."""
@@ -110,14 +120,15 @@ def filled(packed: PackedTracks, terms: Iterable[Term]) -> PackedTracks:
     return packed
 
 
-_KINDS = 256  # Size of the cache of packed frames
+_KINDS = 1024  # Size of the cache of packed frames, some kilobytes each; the oldest is dropped
 
 
 class FramePacker:
     """Frames packed one at a time, with a cache by kind.
 
     The kind is the set of observed channels, their declared noise, and the time since the previous frame. A
-    frame with inputs, pixels or class likelihoods has no kind, and is kept until the next frame.
+    frame with inputs, pixels or class likelihoods is a kind of its own: those of a window are read again at
+    each step.
     """
 
     def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
@@ -126,7 +137,6 @@ class FramePacker:
         # Most terms have no live fields; calling them all takes longer than writing the live fields.
         self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
         self._known: dict[tuple[object, ...], PackedTracks] = {}
-        self._latest: tuple[tuple[object, ...], Any] = (), None
 
     def __call__(
         self, observation: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
@@ -139,26 +149,24 @@ class FramePacker:
             and observation.body_likelihood is None
             and observation.head_likelihood is None
         )
+        kind: tuple[object, ...]
         if not (simple and self._repeats) or observation.inputs:
-            kind, packed = self._latest
-            if kind != (observation, seconds, starts, camera):
-                packed = self._packed(observation, seconds, starts, camera)
-                self._latest = (observation, seconds, starts, camera), packed
-            return packed
-        kind = (
-            seconds,
-            starts,
-            observation.position_std,
-            observation.body_kappa,
-            observation.head_kappa,
-            observation.position is None,
-            observation.body is None,
-            observation.head is None,
-        )
+            kind = (seconds, starts, observation, camera)
+        else:
+            kind = (
+                seconds,
+                starts,
+                observation.position_std,
+                observation.body_kappa,
+                observation.head_kappa,
+                observation.position is None,
+                observation.body is None,
+                observation.head is None,
+            )
         known = self._known.get(kind)
         if known is None:
             if len(self._known) == _KINDS:
-                self._known.clear()
+                del self._known[next(iter(self._known))]
             known = self._known[kind] = self._packed(observation, seconds, starts, camera)
         return known
 

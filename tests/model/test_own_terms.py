@@ -25,7 +25,7 @@ from graphtrack.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.kernels.layout import N
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
-from graphtrack.model.generator import OF_PRESETS, FrameProgram, program_of
+from graphtrack.model.generator import OF_PRESETS, Contribution, FrameProgram, program_of
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.packing import PackedTracks
@@ -83,6 +83,11 @@ def told(track: Track, move: float = 0.4) -> Track:
     window = np.column_stack([move * np.arange(len(track)), np.full(len(track), -2.0)])
     window[::5] = np.nan
     return replace(track, inputs={"window": window})
+
+
+def brought(kind: type[Term]) -> Contribution:
+    """The contribution of a class of terms to a program."""
+    return Contribution(kind.__name__, kind.fields, kind.shared, kind.kernels)
 
 
 # An engine of its own takes a minute to compile.
@@ -167,7 +172,7 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 
     for kind, said in ((Mistaken, "'precise'"), (Doubled, "motion_information"), (Gateless, "'nowhere'")):
         with pytest.raises(ValueError, match=said):
-            FrameProgram([*every_term(), kind], "a test").source  # noqa: B018
+            FrameProgram(map(brought, [*every_term(), kind]), "a test").source  # noqa: B018
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:

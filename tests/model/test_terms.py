@@ -319,7 +319,8 @@ def test_the_kernels_add_up_to_the_density_with_a_curvature_that_is_never_negati
             real = values > 1e-13 * (1.0 + values.max())
             along = axes.T @ gradient
             # The gradient lies in the block, and with it explains no more than there is.
-            np.testing.assert_allclose(along[~real], 0.0, atol=1e-7 * (1.0 + np.abs(gradient).max()))
+            # Its square over a curvature that rounding hides is part of the cost.
+            np.testing.assert_allclose(along[~real], 0.0, atol=1e-6 * (1.0 + values.max()))
             assert 0.5 * np.sum(along[real] ** 2 / values[real]) <= cost * (1.0 + 1e-8) + 1e-9
         assert total == pytest.approx(term.cost(states, track, CAMERA), rel=1e-9, abs=1e-9)
 

@@ -1,0 +1,153 @@
+"""Terms of one's own from one function of residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.kernels.layout import Field, Kernel, VariableName
+from graphtrack.model.derivation import VARIABLES, Residuals, derived
+from graphtrack.model.observation import States
+from graphtrack.model.packing import PackedTracks
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.term import Term
+from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import is_number
+
+_VARIABLE_OF: tuple[VariableName, ...] = ("position", "position", "velocity", "velocity", "body", "head")
+
+
+class FunctionTerm(Term):
+    """A term from one function, with its numbers; `term` makes one.
+
+    Parameters
+    ----------
+    function : see `Residuals`
+    numbers : by name, all that the function has
+    place : number among the terms of the same function's name in a model, from 1
+    parameters : of the model
+    """
+
+    def __init__(
+        self,
+        function: Residuals,
+        numbers: Mapping[str, float],
+        place: int = 1,
+        parameters: Parameters | None = None,
+    ) -> None:
+        super().__init__(Parameters() if parameters is None else parameters)
+        self.function, self.numbers, self.place = function, dict(numbers), place
+        known = self._derived = derived(function)
+        if set(numbers) != set(known.numbers):
+            expected = ", ".join(known.numbers) or "none"
+            raise InputError(f"numbers {', '.join(numbers) or 'none'} for {self.label}", expected)
+        for name, value in numbers.items():
+            if not (is_number(value) and math.isfinite(value)):
+                raise InputError(f"{name} = {value!r} of {self.label}", "a finite number")
+        prefix = f"own_{self.label}" + (f"_{place}" if place > 1 else "")
+        self._prefix, self._gate = prefix, f"{prefix}_gate"
+        self._input_fields = {
+            name: [f"{prefix}_{name}_{k}" for k in range(size or 1)] for name, size in known.inputs.items()
+        }
+        # Set on the instance: those of a class are of all its terms.
+        variables, before = (
+            tuple(dict.fromkeys(_VARIABLE_OF[k] for k in side)) for side in (known.now, known.before)
+        )
+        renamed = {f"number_{name}": f"{prefix}_{name}" for name in known.numbers}
+        for name, fields in self._input_fields.items():
+            renamed |= {f"input_{name}_{k}": field for k, field in enumerate(fields)}
+        own: Any = vars(self)
+        own["uses"] = frozenset(name for name in (*variables, *before) if name in ("body", "head"))
+        own["kernels"] = (Kernel(known.kernel, self._gate, variables, before, names=renamed),)
+        inputs = [field for fields in self._input_fields.values() for field in fields]
+        own["fields"] = (Field(self._gate, "1 where the term acts"), *(Field(name, "") for name in inputs))
+        own["shared"] = tuple(Field(f"{prefix}_{name}", "") for name in known.numbers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FunctionTerm, (self.function, self.numbers, self.place, self.parameters)
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(f"{name}={value:g}" for name, value in self.numbers.items())
+        return f"{self.label}({numbers})"
+
+    @property
+    def label(self) -> str:
+        """The function's name."""
+        return self.function.__name__
+
+    @property
+    def documented(self) -> object:
+        """The function."""
+        return self.function
+
+    @property
+    def is_compiled(self) -> bool:
+        """True."""
+        return True
+
+    def of_model(self, parameters: Parameters, place: int) -> FunctionTerm:
+        """Return the term in a model."""
+        return FunctionTerm(self.function, self.numbers, place, parameters)
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Numbers, inputs, and where the term acts."""
+        acts = ~packed.is_first if self._derived.links else np.ones(len(packed.records), bool)
+        for name, fields in self._input_fields.items():
+            size = self._derived.inputs[name]
+            values = packed.input(name, *([size] if size else [])).reshape(len(acts), -1)
+            known = np.isfinite(values).all(axis=1)
+            acts = acts & known
+            for k, field in enumerate(fields):
+                packed.records[field] = np.where(known, values[:, k], 0.0)
+        packed.records[self._gate] = acts
+        for name, value in self.numbers.items():
+            packed.shared[f"{self._prefix}_{name}"] = value
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """½·‖r‖², summed over the frames where the term acts."""
+        rows = np.column_stack([states.position, states.velocity, states.body, states.head])
+        values: dict[str, FloatArray] = {"dt": track.dt}
+        for k, name in enumerate(VARIABLES):
+            values[name], values[f"{name}_before"] = rows[:, k], np.roll(rows[:, k], 1)
+        acts = np.arange(len(track)) >= (1 if self._derived.links else 0)
+        for name, size in self._derived.inputs.items():
+            known = track.input(name, *([size] if size else [])).reshape(len(track), -1)
+            acts &= np.isfinite(known).all(axis=1)
+            values |= {f"input_{name}_{k}": known[:, k] for k in range(size or 1)}
+        values |= {f"number_{name}": np.full(len(track), value) for name, value in self.numbers.items()}
+        given = [values[name][acts] for name in self._derived.arguments]
+        return float(np.sum(np.broadcast_to(self._derived.density(*given), acts.sum())))
+
+
+def term(function: Residuals, **numbers: float) -> FunctionTerm:
+    """Return a term of your own, for `Model`, from one function of a frame's variables.
+
+    Cost, derivatives, the kernel of the compiled engine and the factor of GTSAM follow from it. Several terms
+    of one function, with other numbers, are compiled once.
+
+    Parameters
+    ----------
+    function : ``f(now, …)`` for a term of a frame, ``f(before, now, …)`` for one between two frames; see
+        `FrameSymbols` for both and `Residuals` for what it returns, such as `chord`
+    **numbers : the values of its other parameters
+
+    Raises
+    ------
+    InputError
+        For missing, further or non-finite numbers.
+
+    Examples
+    --------
+    >>> import sympy, graphtrack as gt
+    >>> def looks_at(now, x, y, kappa):
+    ...     return gt.chord(kappa, now.head - sympy.atan2(y - now.y, x - now.x))
+    >>> gt.Model("joint", terms=[gt.term(looks_at, x=3, y=4, kappa=1), gt.term(looks_at, x=0, y=4, kappa=2)])
+    Model('joint', looks_at(x=3, y=4, kappa=1), looks_at(x=0, y=4, kappa=2))
+    """
+    return FunctionTerm(function, numbers)
