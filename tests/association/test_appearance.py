@@ -62,7 +62,7 @@ def test_it_is_calibrated_on_other_people(count: int) -> None:
         assert lost < 0.7 * np.log(2.0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.4))
 def test_it_falls_with_the_distance_is_symmetric_and_bounded(seed: int, outlier: float) -> None:
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special, stats
 from von_mises import von_mises_product
@@ -70,7 +70,6 @@ def options(particles: int, **others: object) -> ParticleOptions:
 # -- resampling --------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(
     raw=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40).filter(lambda w: sum(w) > 1e-3),
     offset=st.floats(0.0, 1.0, exclude_max=True),
@@ -86,7 +85,6 @@ def test_descendants_are_the_expected_number_rounded(raw: list[float], offset: f
     assert np.all(descendants[weights == 0.0] == 0)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-2000.0, 500.0) | st.just(-math.inf), min_size=1, max_size=30))
 def test_log_weights_are_normalised(raw: list[float]) -> None:
     log_weights, weights = np.array(raw), np.empty(len(raw))
