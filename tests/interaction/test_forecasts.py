@@ -12,7 +12,7 @@ from graphtrack.forecasting.forecaster import Forecaster, mean_turn
 from graphtrack.forecasting.motion import BELIEFS, ForecastParameters, MotionFilters
 from graphtrack.forecasting.paths import kernel_sums
 from graphtrack.forecasting.recorded import COLUMNS, is_forecast, read_forecasts
-from graphtrack.forecasting.spread import offsets, radius
+from graphtrack.forecasting.spread import log_density, offsets, radius
 
 STEP = 0.4
 
@@ -89,6 +89,16 @@ def test_a_circle_has_its_share_of_the_samples(level, ratio):
     drawn = offsets(1, along, across, direction, parameters, np.random.default_rng(5))
     size = radius(level, along[:1], across[:1], parameters)
     assert np.mean(np.abs(drawn[:, 0]) <= size) == pytest.approx(level, abs=0.01)
+
+
+def test_the_density_of_the_mixture_holds_one_within_and_its_share_in_a_circle():
+    parameters = ForecastParameters()
+    along, across = np.meshgrid(*[np.linspace(-30.0, 30.0, 1201)] * 2)
+    one = np.ones_like(along)
+    mass = np.exp(log_density(along, across, 1.5 * one, one, parameters)) * 0.05**2
+    assert mass.sum() == pytest.approx(1.0, abs=1e-3)
+    size = radius(0.9, np.array([1.5]), np.array([1.0]), parameters)[0]
+    assert mass[np.hypot(along, across) <= size].sum() == pytest.approx(0.9, abs=5e-3)
 
 
 def test_samples_are_paths_about_the_mean():
