@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from crossing_people import idf1, packed_square, run_online, street
+from selection import others_slow
 
 from graphtrack.association.motion import noise_of, velocities_of
 from graphtrack.association.offline import associate_detections
@@ -58,8 +59,10 @@ def test_triples_show_the_noise(hz: float, noise: float) -> None:
     assert 0.5 * noise < found < 1.8 * noise + 0.06
 
 
-@pytest.mark.parametrize("hz", [1.0, 2.5, 5.0])
-@pytest.mark.parametrize("people", [10, 100])
+@pytest.mark.parametrize(
+    ("hz", "people"),
+    others_slow([(hz, n) for hz in (1.0, 2.5, 5.0) for n in (10, 100)], [(1.0, 100), (5.0, 10)]),
+)
 def test_what_is_learned_online_is_the_simulator(hz: float, people: int) -> None:
     frames = round(40.0 * hz)
     detections, _ = packed_square(
@@ -94,7 +97,9 @@ def test_a_false_start_is_forgotten() -> None:
     assert found > idf1(alone[detections.frame >= 100], whose[detections.frame >= 100]) - 0.05
 
 
-@pytest.mark.parametrize(("hz", "least"), [(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)])
+@pytest.mark.parametrize(
+    ("hz", "least"), others_slow([(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)], [(1.3333, 0.55), (2.0, 0.7)])
+)
 def test_a_dense_corridor_has_identities_at_low_rates(hz: float, least: float) -> None:
     detections, whose = corridor(hz)
     assert idf1(associate_detections(detections).identity, whose) > least
