@@ -57,7 +57,7 @@ def test_as_stored_from_trackeval(kind):
 
 
 @pytest.mark.parametrize(("demand", "boxes"), [(GROUND, False), (IMAGE, True)], ids=["ground", "image"])
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=3))
 def test_as_trackeval_says(demand, boxes, seeds):
     pytest.importorskip(
