@@ -21,7 +21,7 @@ from input_readers import OPTION_FILES, InputReader, format_readers
 from mutations import mutate
 
 from graphtrack import io
-from graphtrack.errors import GraphtrackError
+from graphtrack.errors import GraphtrackError, InputWarning
 from graphtrack.io.formats.mot import read_coco
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -34,7 +34,7 @@ BY_LABEL = {one.label: one for one in READERS}
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 fuzzed = settings(
-    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000" if NIGHTLY else "15")),
+    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000" if NIGHTLY else "40")),
     suppress_health_check=list(HealthCheck),
 )
 
@@ -78,7 +78,8 @@ WORDS = st.sampled_from(
 def reads(one: InputReader, content: bytes) -> None:
     """Read a content; other exceptions than of this package pass."""
     with TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", InputWarning)
         path = one.write(Path(folder), content)
         refused_or_read(lambda: one.read(path))
 
