@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
@@ -13,9 +14,9 @@ from hypothesis import settings
 
 from graphtrack.errors import InputError
 
-# Parallel tests use all processors: more threads would wait for each other.
-# Here, since the libraries look at it when they are loaded.
-if "PYTEST_XDIST_WORKER" in os.environ:
+# Parallel tests, or the other work of a shared machine, use all processors: more threads would wait for each
+# other, which makes association ten times as slow. Here, since libraries look at it when they are loaded.
+if "tests/benchmarks" not in sys.argv:
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(library, "1")
 
