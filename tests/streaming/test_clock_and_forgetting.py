@@ -91,6 +91,14 @@ def test_rows_of_one_implausible_time_change_nothing(
 
 
 @kinds
+def test_a_plausible_row_discards_the_rows_that_wait(identified: bool) -> None:
+    usual = walkers(10, identified)
+    strange = [{**usual[7], "t": 1e6 + later} for later in (0.0, 0.1)]
+    found = each(stream(identified), [*usual[:7], strange[0], *usual[7:10], strange[1]])
+    assert [row["status"] for row in (*found[7], *found[-1])] == ["unconfirmed"] * 2
+
+
+@kinds
 @pytest.mark.parametrize("to", [-300.0, 3.0 - 86_400.0, 500.0])
 def test_a_second_row_begins_the_stream_again_and_it_is_said(identified: bool, to: float) -> None:
     notes: list[str] = []
