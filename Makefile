@@ -53,6 +53,7 @@ checked: $(VENV)/installed
 test: checked
 	$(PYTEST)
 
+test-all: export HYPOTHESIS_PROFILE ?= nightly
 test-all: export GRAPHTRACK_FUZZ_SEED ?= $(shell date +%Y%m%d)
 test-all: checked
 	$(PYTEST) -m 'not benchmark'

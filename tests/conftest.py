@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
@@ -13,15 +14,16 @@ from hypothesis import settings
 
 from graphtrack.errors import InputError
 
-# Parallel tests use all processors: more threads would wait for each other.
-# Here, since the libraries look at it when they are loaded.
-if "PYTEST_XDIST_WORKER" in os.environ:
+# Parallel tests, or the other work of a shared machine, use all processors: more threads would wait for each
+# other, which makes association ten times as slow. Here, since libraries look at it when they are loaded.
+if "tests/benchmarks" not in sys.argv:
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(library, "1")
 
-# The same examples at every run and no deadlines, so that CI fails on a change and not by chance.
-# HYPOTHESIS_PROFILE=default explores.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+# CI has the same examples at every run, so that it fails on a change and not by chance. ``nightly`` (make
+# test-all) has new and more examples; those that fail are kept in .hypothesis and tried first next time.
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
+settings.register_profile("nightly", deadline=None, max_examples=400, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 

@@ -1,6 +1,9 @@
 """Statements of documents can be looked up: papers by author and year, formats, presets, a notebook."""
 
+import io
 import re
+import tokenize
+from itertools import pairwise
 from pathlib import Path
 
 import nbformat
@@ -47,6 +50,27 @@ def test_the_stated_number_of_formats_is_theirs(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     assert re.search(rf"\b{len(FORMATS)} (?:file )?formats", text)
     assert not re.search(r"\bten formats", text)
+
+
+def test_code_that_docstrings_and_comments_name_is_there():
+    paths = [path for package in ("graphtrack", "perception") for path in (ROOT / package).rglob("*.py")]
+    tokens = {p: list(tokenize.generate_tokens(io.StringIO(readable(p)).readline)) for p in paths}
+    names: dict[str, set[str]] = {}
+    for path in paths:
+        of_module = names.setdefault(path.stem if path.stem != "__init__" else path.parent.name, set())
+        of_module |= {token.string for token in tokens[path] if token.type == tokenize.NAME}
+    known = set(names).union(*names.values(), ["io", "load_dataset", "marginalizeLeaves"])
+    gone = []
+    for path, all_tokens in tokens.items():
+        text = "".join(
+            token.string for token in all_tokens if token.type in (tokenize.STRING, tokenize.COMMENT)
+        )
+        for reference in re.findall(r"(?<![`\w])`([A-Za-z_]\w*(?:\.\w+)*)(?:\(\))?`(?!`)", text):
+            parts = reference.split(".")
+            there = all(b in names.get(a, known) | set(names) for a, b in pairwise(parts))
+            if not (there or parts[0] == "movement") or not set(parts) <= known:
+                gone.append(f"{path.relative_to(ROOT)}: {reference}")
+    assert not gone
 
 
 def test_every_preset_stands_in_the_table():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -138,3 +139,10 @@ def test_paths_in_documents_exist() -> None:
                 known += 1
                 assert any(ROOT.glob(path.rstrip("/."))), f"{path} in {document.name}"
     assert known > 5
+
+
+def test_every_mutant_matches_one_piece_of_the_packages() -> None:
+    mutants = runpy.run_path(str(ROOT / "tests" / "mutants" / "run.py"))["mutants"]()
+    text = "".join(path.read_text("utf-8") for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    assert len(mutants) > 40 and {one.name for one in mutants if text.count(one.old) != 1} == set()
+    assert all((ROOT / folder).exists() for one in mutants for folder in one.tests)

@@ -105,6 +105,22 @@ def outcome(call: Callable[[], Any]) -> tuple[str, str]:
     return repr(found), "\n".join(notes)
 
 
+def remembered(call: Callable[[Any], Any]) -> Callable[[Any], tuple[str, str]]:
+    """The outcome of a call, computed once for what is given, which has the text of its values."""
+    known: dict[str, tuple[str, str]] = {}
+
+    def run(given: Any) -> tuple[str, str]:
+        values = (
+            {k: v.tolist() for k, v in to_columns(given).items()} if isinstance(given, TrackSet) else given
+        )
+        text = repr(values)
+        if text not in known:
+            known[text] = outcome(lambda: call(given))
+        return known[text]
+
+    return run
+
+
 ENTRIES: dict[str, Callable[[TrackSet], Any]] = {
     "smooth position": lambda tracks: gt.smooth(tracks, "position"),
     "smooth joint": lambda tracks: gt.smooth(tracks, "joint"),
@@ -132,7 +148,7 @@ def is_named(name: str, notes: str) -> bool:
 
 @pytest.mark.parametrize("entry", [*ENTRIES, *OF_OBSERVATIONS])
 def test_every_field_of_a_track_is_used_refused_or_named(entry: str) -> None:
-    call = {**ENTRIES, **OF_OBSERVATIONS}[entry]
+    found_by = remembered({**ENTRIES, **OF_OBSERVATIONS}[entry])
     names = TRACK_FIELDS if entry in ENTRIES else [one for one in OBSERVED if one in TRACK_FIELDS]
     if entry == "attention":
         names = [one for one in names if one not in ("body", "body_kappa")]  # by the groups alone
@@ -144,8 +160,8 @@ def test_every_field_of_a_track_is_used_refused_or_named(entry: str) -> None:
         if entry in OF_OBSERVATIONS:
             observed = scene.map(lambda one: replace(one, covariance=None))
             scene = observed if entry == "forecast" else standing(scene)
-        before, notes = outcome(lambda scene=scene: call(scene))
-        after, _ = outcome(lambda scene=scene, name=name: call(scene.map(lambda one: changed(one, name))))
+        before, notes = found_by(scene)
+        after, _ = found_by(scene.map(lambda one, name=name: changed(one, name)))
         if before == after and not is_named(name, notes):
             silent.append(name)
     assert silent == []
@@ -223,7 +239,7 @@ ONLINE = {
 
 @pytest.mark.parametrize("entry", ONLINE)
 def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> None:
-    call, silent = ONLINE[entry], []
+    found_by, silent = remembered(ONLINE[entry]), []
     # Evidence of the tracker counts once enough detections were decided: see tests/association.
     evidence = EVIDENCE_ALONE if "Tracker position" in entry else ["score"] * ("Tracker" in entry)
     names = [one for one in OBSERVED if one not in evidence]
@@ -231,9 +247,8 @@ def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> N
         frames = [[observation(k, person, "likelihood" in name) for person in (0, 1)] for k in range(N)]
         if "position" in name and entry.endswith("camera"):
             frames = [[replace(one, pixel=None) for one in some] for some in frames]
-        before, notes = outcome(lambda frames=frames: call(frames))
-        changed_frames = [[other(one, name) for one in some] for some in frames]
-        after, _ = outcome(lambda some=changed_frames: call(some))
+        before, notes = found_by(frames)
+        after, _ = found_by([[other(one, name) for one in some] for some in frames])
         if before == after and not is_named(name, notes):
             silent.append(name)
     assert silent == []

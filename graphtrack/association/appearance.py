@@ -223,7 +223,7 @@ def resemblance_of_false_detections(
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):
         return 0.0
-    # Frames far apart on a third axis, as in `duplicates.near`.
+    # Frames are far apart on a third axis, so that neighbours are of one frame and the next.
     step = np.array([0.0, 0.0, 10.0 * _APART])
     points = np.column_stack([chains.position[false], step[2] * chains.frame[false]])
     distance, before = spatial.cKDTree(points).query(points - step, distance_upper_bound=_APART)

@@ -75,7 +75,7 @@ TUNED: dict[PeerName, PeerParameters] = {
     "bytetrack": PeerParameters(minimum_iou=0.1, longest_gap=3.2),
     "ocsort": PeerParameters(side=1.4, minimum_iou=0.1, minimum_frames=1),
 }
-"""The best parameters on simulated crowds at 2.5 Hz, by `tuning`."""
+"""The best parameters on simulated crowds at 2.5 Hz, by `tuned`."""
 
 _CLASSES: dict[PeerName, str] = {"bytetrack": "ByteTrackTracker", "ocsort": "OCSORTTracker"}
 

@@ -1,7 +1,7 @@
 """List of formats, their detection, and hints to options that would read a table.
 
 A new format is a module with a constant of type `Format`, a line in `FORMATS` and one in
-`recognition.SIGNATURES`.
+`format.SIGNATURES`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ FORMATS = (
     MOT,
     ETH,
 )
-"""All formats; `recognition.SIGNATURES` has the order in which they are tried."""
+"""All formats; `format.SIGNATURES` has the order in which they are tried."""
 
 
 def companion_files(path: Path) -> tuple[Path, ...]:

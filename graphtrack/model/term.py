@@ -24,7 +24,7 @@ Variable = Literal["body", "head"]
 class Term(ABC):
     """One term of the model: its density, and its kernels and factors.
 
-    A subclass is a whole new term; see the README for an example. It defines `cost`, and then either
+    A subclass is a whole new term; docs/how-to/own-term.md has an example. It defines `cost`, and then either
     `kernels` with their data (`fields`, `shared`, `pack`), for all engines, or `factors`, for those of GTSAM
     alone; both where GTSAM has a native factor.
 

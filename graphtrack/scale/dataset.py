@@ -183,8 +183,8 @@ def open_dataset(path: str | Path) -> Dataset:
     """A Parquet file, or a folder with its subfolders, as one table.
 
     Files without a row are left out, and files and folders whose names begin with ``.`` or ``_``. Folders
-    named ``column=value`` give their files a column. Columns of well-known names (`synonyms.SYNONYMS`) are
-    read as in a single file.
+    named ``column=value`` give their files a column. Columns of well-known names
+    (`column_names.SYNONYMS`) are read as in a single file.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class Extent:
 
 
 def circles_of(forecasts: Mapping[str, NDArray[np.generic]]) -> Extent:
-    """Return the extent of the forecasts' circles; columns as of `viewer.behaviour.show_forecasts`."""
+    """Return the extent of the forecasts' circles; columns as of `viewer.interaction.show_forecasts`."""
     there = np.column_stack([forecasts["x"], forecasts["y"]]).astype(float)
     return Extent.of(there, forecasts["radius_90"].astype(float))
 

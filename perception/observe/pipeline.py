@@ -38,7 +38,7 @@ class PersonObservation:
     heads : candidates of the head's box, in the crop of the person
     pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
     score : of a detection; None: not known
-    appearance : (`appearance.LENGTH`,) uint8 appearance descriptor; None: not requested
+    appearance : (`features.LENGTH`,) uint8 appearance descriptor; None: not requested
     standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
     """
 

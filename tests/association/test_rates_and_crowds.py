@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from crossing_people import idf1, packed_square, run_online, street
+from selection import others_slow
 
 from graphtrack.association.motion import noise_of, velocities_of
 from graphtrack.association.offline import associate_detections
@@ -58,11 +59,12 @@ def test_triples_show_the_noise(hz: float, noise: float) -> None:
     assert 0.5 * noise < found < 1.8 * noise + 0.06
 
 
-SIZES = [(1.0, 10, 40.0), (2.5, 100, 40.0), (5.0, 10, 40.0), (25.0, 10, 20.0), (25.0, 100, 4.0)]
-CROWDS = [pytest.param(hz, 1600, 20.0 / hz, marks=pytest.mark.slow) for hz in (1.0, 5.0, 25.0)]
+QUICK = [(1.0, 10, 40.0), (25.0, 100, 4.0)]
+SIZES = [*QUICK, (2.5, 100, 40.0), (5.0, 10, 40.0), (25.0, 10, 20.0)]
+CROWDS = [(hz, 1600, 20.0 / hz) for hz in (1.0, 5.0, 25.0)]
 
 
-@pytest.mark.parametrize(("hz", "people", "seconds"), [*SIZES, *CROWDS])
+@pytest.mark.parametrize(("hz", "people", "seconds"), others_slow([*SIZES, *CROWDS], QUICK))
 def test_what_is_learned_online_is_the_simulator(hz: float, people: int, seconds: float) -> None:
     frames = round(seconds * hz)
     detections, _ = packed_square(
@@ -97,7 +99,9 @@ def test_a_false_start_is_forgotten() -> None:
     assert found > idf1(alone[detections.frame >= 100], whose[detections.frame >= 100]) - 0.05
 
 
-@pytest.mark.parametrize(("hz", "least"), [(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)])
+@pytest.mark.parametrize(
+    ("hz", "least"), others_slow([(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)], [(1.3333, 0.55), (2.0, 0.7)])
+)
 def test_a_dense_corridor_has_identities_at_low_rates(hz: float, least: float) -> None:
     detections, whose = corridor(hz)
     assert idf1(associate_detections(detections).identity, whose) > least

@@ -89,7 +89,7 @@ def track_with(gaps: str, *, uneven: bool, own_std: bool = False) -> Track:
 GAPS = ["none", "inner", "last", "first", "first and last", "all but one"]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10_000),
     seen=st.lists(st.booleans(), min_size=1, max_size=12).filter(any),

@@ -8,7 +8,7 @@ from typing import ClassVar
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special, stats
 from von_mises import von_mises_product
@@ -29,9 +29,7 @@ from graphtrack.baselines.particle_kernels import (
     backward,
     draw_angles,
     draw_motion,
-    effective_sample_size,
     generator,
-    normalise,
     summarise,
     summarise_motion,
     systematic_ancestors,
@@ -70,7 +68,6 @@ def options(particles: int, **others: object) -> ParticleOptions:
 # -- resampling --------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(
     raw=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40).filter(lambda w: sum(w) > 1e-3),
     offset=st.floats(0.0, 1.0, exclude_max=True),
@@ -84,21 +81,6 @@ def test_descendants_are_the_expected_number_rounded(raw: list[float], offset: f
     assert np.all(np.diff(ancestors) >= 0)
     assert np.all(np.abs(descendants - count * weights) < 1.0 + 1e-9)
     assert np.all(descendants[weights == 0.0] == 0)
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(-2000.0, 500.0) | st.just(-math.inf), min_size=1, max_size=30))
-def test_log_weights_are_normalised(raw: list[float]) -> None:
-    log_weights, weights = np.array(raw), np.empty(len(raw))
-    found = normalise(log_weights, weights)
-    assert weights.sum() == pytest.approx(1.0)
-    if max(raw) == -math.inf:
-        assert found == -math.inf
-        np.testing.assert_allclose(weights, 1.0 / len(raw))
-    else:
-        assert found == pytest.approx(special.logsumexp(raw))
-        np.testing.assert_allclose(weights, special.softmax(raw), atol=1e-12)
-    assert 1.0 - 1e-9 <= effective_sample_size(weights) <= len(raw) + 1e-9
 
 
 def test_seeds() -> None:

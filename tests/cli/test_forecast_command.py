@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 
 import numpy as np
 import pandas as pd
@@ -15,9 +14,7 @@ from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
-from graphtrack.model import Model
 from graphtrack.smoothing import OnlineTracker
-from graphtrack.streaming import session
 from graphtrack.streaming.answers import EndedFrames
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
@@ -91,50 +88,6 @@ def test_a_late_row_changes_no_forecast():
     seen = [gt.Observation(t=0.4 * k, frame=k, position=(0.5 * k, 0.0)) for k in (0, 1, 3, 2, 4)]
     told = [forecasts.take(1, one, smoother.update(one)) for one in seen]
     assert [row["frame"] for rows in told for row in rows] == [1, 3]
-
-
-class Killed(BaseException):
-    """Simulate a kill."""
-
-
-@pytest.mark.parametrize("identities", [False, True])
-def test_a_stream_with_forecasts_goes_on_after_a_kill(monkeypatch, tmp_path, identities):
-    rng, lines = np.random.default_rng(2), []
-    for f in range(24):
-        for k in range(3):
-            if rng.random() < 0.9:  # people come late, are missed, and keep forecasts busy
-                x, y = np.array([0.5 * f, 2.0 * k]) + rng.normal(0, 0.03, 2)
-                row = {"frame": f, "t": round(0.4 * f, 6), "x": round(x, 4), "y": round(y, 4)}
-                lines.append(json.dumps(row | ({"track_id": k} if identities else {})).encode())
-    stops = [n for n in range(1, len(lines)) if b'"frame": 8' in lines[n] or b'"frame": 16' in lines[n]]
-    answers, end = [], 0
-
-    def rows(stream, first):
-        yield from ((n, lines[n - 1]) for n in range(first, end + 1))
-        if end < len(lines):
-            raise Killed
-
-    def run_to(place, state):
-        nonlocal end
-        end = place
-        options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "horizon": (2.0, 0.4)}
-        with suppress(Killed):
-            session.track_stream(session.Answers(Model("position"), **options), state=state, save_every=0.01)
-        found = list(answers)
-        answers.clear()
-        return found
-
-    monkeypatch.setattr(session, "lines_of", rows)
-    monkeypatch.setattr(session, "open_streams", lambda: None)
-    monkeypatch.setattr(session, "give", lambda answer: answers.append(json.dumps(answer)))
-    whole, found = run_to(len(lines), None), []
-    assert any("forecast" in one for one in whole)
-    for place in [*stops, len(lines)]:
-        more = run_to(place, tmp_path / "state")
-        # After a kill the answers to the last row are emitted again.
-        again = [k for k in range(len(more) + 1) if found[len(found) - k :] == more[:k]]
-        found += more[max(again, default=0) :]
-    assert len(stops) > 3 and found == whole
 
 
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):

@@ -63,46 +63,6 @@ def track(monkeypatch, capsys):
 # -- going on ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("engine", "lag"),
-    others_slow(
-        [("chain", "2"), ("fixed-lag", "2"), ("isam2", "0.3"), ("isam2", "none")],
-        [("chain", "2"), ("isam2", "0.3")],
-    ),
-)
-def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
-    lines, state = scene(60 if engine == "chain" else 17, people=2), tmp_path / "state"
-    model = "joint"
-    half, options = len(lines) // 2, ("--engine", engine, "--lag", lag, "--model", model)
-    _, whole, _ = track(lines, *options)
-    first, found, _ = track(lines[:half], *options, "--state", state)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
-    second, more, said = track(lines[half:], *options, "--state", state)
-    assert found + more == whole
-    assert (first, second) == (2, 2)  # there are bad rows in both parts
-    assert going_on(said)[1] == len(found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lag", others_slow(["0.3", "none"], ["0.3"]))
-def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
-    lines, options = scene(13, people=2), ("--engine", "isam2", "--lag", lag, "--model", "joint")
-    half, state = len(lines) // 2, ("--state", tmp_path / "state")
-    _, whole, _ = track(lines, *options)
-    _, found, _ = track(lines[:half], *options, *state)
-    _, more, said = track(lines[half:], *options, *state)
-    assert found == whole[: len(found)] and going_on(said)[1] == len(found)
-    assert len(more) == len(whole) - len(found)
-    apart = []
-    for one, other in zip(map(json.loads, more), map(json.loads, whole[len(found) :]), strict=True):
-        assert one.keys() == other.keys()
-        assert [one.get(name) for name in ("track_id", "status")] == [
-            other.get(name) for name in ("track_id", "status")
-        ]
-        apart += [abs(one[name] - other[name]) for name in ("x", "y") if name in one]
-    assert len(apart) > 30 and max(apart) < 0.02
-
-
 class Killed(BaseException):
     """Simulate a kill: the next run finds the file as it is at that moment."""
 
@@ -219,11 +179,14 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
         ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
         ({"--forecast": "2"}, "forecast"),
         ({"--forget-after": "30"}, "forget_after = 60.0, expected one with forget_after = 30.0"),
+        ({"--walkable": "area.wkt"}, "walkable = "),
+        ({"--attention": "--groups"}, "attention = "),
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
     ],
 )
 def test_a_state_of_other_options_is_refused_by_name(track, state, cwd, changed, told):
     Path("plane.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
+    Path("area.wkt").write_text("POLYGON ((0 0, 9 0, 9 9, 0 9, 0 0))")
     before = state.read_bytes()
     options = [word for pair in (SAME | changed).items() for word in pair]
     status, answers, said = track([], *options, "--state", "state")

@@ -87,7 +87,7 @@ def test_lines_that_no_flush_has_reached_may_be_cut_off(tmp_path):
         assert content(path) == [*known, 6]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.data(), n=st.integers(2, 6))
 def test_lines_that_are_missing_repeated_moved_or_foreign_are_found(tmp_path_factory, data, n):
     folder = tmp_path_factory.mktemp("states")

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 import shapely
 from command import Done, run
-from selection import others_slow
-from serving import serving
 
 from graphtrack.geometry.walkable import WalkableArea
-from graphtrack.service.client import StreamClient
 
 CORRIDOR = shapely.union_all([shapely.box(0, 0, 20, 2), shapely.box(18, 0, 20, 12)])
 NOISE = 0.3
@@ -72,39 +69,6 @@ def test_tracked_detections_of_a_stream_stay_inside(area: Path) -> None:
     assert share_outside(plain, 200) > 0.01 and share_outside(walled, 200) == 0.0
     ahead = np.array([[at["x"], at["y"]] for one in walled if "forecast" in one for at in one["forecast"]])
     assert len(ahead) > 1000 and WalkableArea(CORRIDOR.buffer(1e-6)).contains(ahead).all()
-
-
-@pytest.mark.parametrize("identities", others_slow([True, False], [True]))
-def test_a_resumed_stream_keeps_its_walls_and_refuses_others(
-    area: Path, tmp_path: Path, identities: bool
-) -> None:
-    rows, state = corridor_rows(2, 6, identities)[:140], tmp_path / "state"
-    options = ("--walkable", area, "--forecast", "1")
-    _, whole = track(rows, *options)
-    _, first = track(rows[:90], *options, "--state", state)
-    assert CORRIDOR.wkt not in state.read_text(errors="replace")  # the area is given again, in any form
-    (tmp_path / "same.geojson").write_text(shapely.to_geojson(CORRIDOR.reverse()))
-    same = ("--walkable", tmp_path / "same.geojson", "--forecast", "1")
-    _, second = track(rows[90:], *same, "--state", state)
-    joined = first + second
-    if identities:  # the end of a run reports the forecasts of its last frame
-        joined, whole = ([one for one in found if "status" in one] for found in (joined, whole))
-    assert second and joined[-40:] == whole[-40:]
-    for other in ((), ("--walkable", tmp_path / "other.wkt")):
-        (tmp_path / "other.wkt").write_text(CORRIDOR.buffer(0.1).wkt)
-        done, answers = track(rows[90:], *other, "--forecast", "1", "--state", state)
-        assert done.returncode == 2 and not answers
-        assert 'a state with walkable = "' in done.stderr
-
-
-@pytest.mark.slow
-def test_the_service_keeps_people_inside_the_area_of_its_scene(area: Path) -> None:
-    options = ("--engine", "fixed-lag", "--walkable", str(area))
-    with serving(*options) as service:
-        with StreamClient(f"ws://127.0.0.1:{service.port}/v1/streams/hall") as hall:
-            answers = list(hall.follow(corridor_rows(4, 7)))
-        assert service.stop() == 0
-    assert share_outside(answers) <= 0.001
 
 
 def test_an_area_travels_to_other_processes() -> None:

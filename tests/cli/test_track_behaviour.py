@@ -101,42 +101,6 @@ def track(given: list[dict[str, Any]], options: str) -> Done:
     return graphtrack(f"track - --model {options}", rows=given)
 
 
-def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(cwd: Path) -> None:
-    (cwd / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
-
-    given = rows(8)
-    for seen in (given, detections(given)):
-        options = "position --groups --attention --places places.csv --forecast 2"
-        whole = track(seen, options)
-        assert whole.returncode == 0, whole.stderr
-        kept = f"{options} --state state{'' if 'track_id' in seen[0] else '-of-detections'}"
-        first, second = track(seen[:12], kept), track(seen[12:], kept)
-        assert first.stdout + second.stdout == whole.stdout
-        for other in ("position --groups --forecast 2", "position --groups --attention --forecast 2"):
-            refused = track(seen[12:], kept.replace(options, other))
-            assert refused.returncode == 2 and "attention = [[" in refused.stderr
-
-
-def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(cwd: Path) -> None:
-    rng = np.random.default_rng(1)
-    given = [
-        {"track_id": k, "frame": f, "t": 0.5 * f, "x": np.cos(2.1 * k) + x, "y": np.sin(2.1 * k) + y}
-        for f in range(12)
-        for k, (x, y) in enumerate(0.02 * rng.standard_normal((3, 2)))
-    ]
-
-    whole = track(given, "social").stdout
-    parts = [track(some, "social --state state").stdout for some in (given[:17], given[17:])]
-    assert "".join(parts) == whole
-    plain = "".join(json.dumps(row) + "\n" for row in given)
-    (cwd / "people.ndjson").write_text(plain)
-    assert graphtrack("track people.ndjson --model social -o tracked.csv").returncode == 0
-    told = [json.loads(line) for line in whole.splitlines()]
-    for estimate in gt.read("tracked.csv"):
-        bodies = [row["body_deg"] for row in told if row["track_id"] == estimate.track_id]
-        np.testing.assert_allclose(np.degrees(estimate.body), bodies, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("line", "message"),
     [

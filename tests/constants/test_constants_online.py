@@ -85,20 +85,6 @@ def test_an_alternative_that_was_ruled_out_comes_back() -> None:
     assert max(coupling, key=coupling.get) in ("free", "head follows body")
 
 
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
-@pytest.mark.parametrize("at", [3, 40])
-def test_a_saved_state_continues_to_the_last_bit(engine: Any, at: int) -> None:
-    seen = list(observations(walker(4, n=60)))
-    whole, stopped = (OnlineSmoother(engine=engine) for _ in range(2))
-    for k, one in enumerate(seen):
-        if k == at:
-            stopped = OnlineSmoother.from_state(json.loads(json.dumps(stopped.state())), engine=engine)
-        expected, found = whole.update(one), stopped.update(one)
-    assert stopped.state() == whole.state()
-    np.testing.assert_array_equal(found.covariance, expected.covariance)
-    assert stopped.constants == whole.constants
-
-
 def test_a_state_of_other_constants_is_refused() -> None:
     learned, fixed = OnlineSmoother(), OnlineSmoother(constants="default")
     with pytest.raises(InputError, match="learned constants"):

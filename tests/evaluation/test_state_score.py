@@ -86,7 +86,7 @@ def test_frames_are_matched_by_time() -> None:
     assert row(gt.score_states(estimates, two), "position")["tracks"] == 2
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.permutations(range(3)), st.integers(0, 5))
 def test_identities_of_the_estimates_do_not_matter(numbers: list[int], first: int) -> None:
     """An associated track may have the number of any person: its errors are those of its own."""

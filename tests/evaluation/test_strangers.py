@@ -26,7 +26,7 @@ from graphtrack.tracks.track import Track, TrackSet
     ("evidence", "online"),
     others_slow(
         [(one, online) for one in EVIDENCE for online in (False, True)],
-        [("positions", False), ("positions and heads", True)],
+        [("positions and heads", True)],
     ),
 )
 def test_independent_walkers_who_stop_are_seldom_in_a_conversation(evidence: str, online: bool) -> None:

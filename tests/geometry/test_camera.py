@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -38,7 +38,6 @@ def pixels(count: int = 50, seed: int = 0) -> np.ndarray:
 POINTS = st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=4, max_size=12)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(4, 30))
 def test_fitting_gives_back_the_homography(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -53,7 +52,6 @@ def test_fitting_gives_back_the_homography(seed: int, count: int) -> None:
     assert noisy.rms_error <= noisy.max_error < 0.5  # metres
 
 
-@settings(deadline=None)
 @given(POINTS, st.floats(-3, 3))
 def test_points_on_a_line_fit_no_homography(points: list[tuple[float, float]], angle: float) -> None:
     source = np.outer([p[0] for p in points], [np.cos(angle), np.sin(angle)])

@@ -202,7 +202,7 @@ ANGLES = st.floats(-3.1, 3.1)
 
 
 @given(st.lists(st.tuples(ANGLES, st.floats(0.1, 50.0)), min_size=2, max_size=4))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_angles_of_one_time_are_multiplied(given_angles) -> None:
     parts = [Observation(t=0.0, head=angle, head_kappa=kappa) for angle, kappa in given_angles]
     one, grid = merged(parts, LIKELIHOOD, None), np.linspace(-np.pi, np.pi, 17)
@@ -211,7 +211,7 @@ def test_angles_of_one_time_are_multiplied(given_angles) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(1e-3, 10.0)), min_size=2, max_size=4))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_positions_of_one_time_are_multiplied_in_any_order(given_positions) -> None:
     parts = [Observation(t=0.0, position=(x, 1.0), position_std=std) for x, std in given_positions]
     mean, std = product(*np.array(given_positions).T)

@@ -8,11 +8,11 @@ import pytest
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.evaluation.forecasts import judge_forecasts
-from graphtrack.forecasting.forecaster import Forecaster
-from graphtrack.forecasting.motion import ForecastParameters
+from graphtrack.forecasting.forecaster import Forecaster, mean_turn
+from graphtrack.forecasting.motion import BELIEFS, ForecastParameters, MotionFilters
 from graphtrack.forecasting.paths import kernel_sums
 from graphtrack.forecasting.recorded import COLUMNS, is_forecast, read_forecasts
-from graphtrack.forecasting.spread import offsets, radius
+from graphtrack.forecasting.spread import log_density, offsets, radius
 
 STEP = 0.4
 
@@ -91,6 +91,16 @@ def test_a_circle_has_its_share_of_the_samples(level, ratio):
     assert np.mean(np.abs(drawn[:, 0]) <= size) == pytest.approx(level, abs=0.01)
 
 
+def test_the_density_of_the_mixture_holds_one_within_and_its_share_in_a_circle():
+    parameters = ForecastParameters()
+    along, across = np.meshgrid(*[np.linspace(-30.0, 30.0, 1201)] * 2)
+    one = np.ones_like(along)
+    mass = np.exp(log_density(along, across, 1.5 * one, one, parameters)) * 0.05**2
+    assert mass.sum() == pytest.approx(1.0, abs=1e-3)
+    size = radius(0.9, np.array([1.5]), np.array([1.0]), parameters)[0]
+    assert mass[np.hypot(along, across) <= size].sum() == pytest.approx(0.9, abs=5e-3)
+
+
 def test_samples_are_paths_about_the_mean():
     forecaster = Forecaster()
     for k in range(10):
@@ -114,6 +124,48 @@ def test_who_goes_straight_is_expected_straight_on_however_noisy_the_positions_a
         errors.append(np.linalg.norm(forecaster.forecast([4.8]).position[0, 0] - (11.5, 0.0)))
         last_step.append(np.linalg.norm(seen[-1] + 12 * (seen[-1] - seen[-2]) - (11.5, 0.0)))
     assert np.mean(errors) < 0.5 * np.mean(last_step)
+
+
+def test_motion_has_the_moments_of_the_mixture_of_kalman_filters():
+    rng, dt, noise = np.random.default_rng(3), 0.4, 0.1
+    seen = np.cumsum(rng.normal(0.4, 0.15, 12)) + 1j * rng.normal(0.0, 0.1, 12)
+    filters, at = MotionFilters(1), np.array([0])
+    filters.begin(at, seen[:1], np.array([noise]))
+    for position in seen[1:]:
+        filters.update(at, np.array([dt]), np.array([position]), np.array([noise]))
+    logs, states, covariances = [], [], []
+    step, observed = np.array([[1.0, dt], [0.0, 1.0]]), np.array([1.0, 0.0])
+    for std, density in BELIEFS:
+        variance = std**2 + noise**2
+        state, covariance, log = np.array([seen[0], 0.0]), np.diag([variance, 1.0]), 0.0
+        process = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        for position in seen[1:]:
+            state, covariance = step @ state, step @ covariance @ step.T + process
+            error, expected = position - state[0], covariance[0, 0] + variance
+            # The evidence of a person is forgotten within 10 seconds.
+            log = log * np.exp(-dt / 10.0) - 0.5 * abs(error) ** 2 / expected - np.log(expected)
+            gain = covariance @ observed / expected
+            state, covariance = state + gain * error, covariance - np.outer(gain, gain) * expected
+        logs, states = [*logs, log], [*states, step @ state]
+        covariances.append(step @ covariance @ step.T + process)
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    assert weights.max() < 0.9
+    mean = weights @ np.array(states)
+    off = np.array(states) - mean
+    # On each axis half of the spread between the filters, whose states are complex.
+    between = np.einsum("k,ki,kj->ij", weights, off.conj(), off).real / 2
+    total = np.tensordot(weights, covariances, 1) + between
+    found = filters.motion(at, np.array([dt]))
+    np.testing.assert_allclose([found.position[0], found.velocity[0]], mean, rtol=1e-9)
+    np.testing.assert_allclose(found.variance[0], [total[0, 0], total[0, 1], total[1, 1]], rtol=1e-9)
+
+
+def test_the_mean_turn_is_the_mean_of_the_turns_so_far():
+    parameters = ForecastParameters(head_seconds=0.7)
+    for end in (0.1, 1.0, 10.0):
+        turns = 1.0 - np.exp(-np.linspace(0.0, end, 100_001) / 0.7)
+        assert mean_turn(np.array([end]), parameters) == pytest.approx(turns.mean(), rel=1e-3)
 
 
 def test_the_head_leads_to_its_side():

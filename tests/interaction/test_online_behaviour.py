@@ -99,23 +99,6 @@ def test_order_of_rows_and_names_are_without_effect() -> None:
         np.testing.assert_allclose(renamed.place[::-1], seen.place, atol=1e-9)
 
 
-def test_a_stop_leaves_no_trace() -> None:
-    whole = gt.OnlineGroups(), gt.OnlineAttention(PLACES)
-    parts = gt.OnlineGroups(), gt.OnlineAttention(PLACES)
-    for k, (t, people) in enumerate(frames(estimated(steps=20).tracks)):
-        if k in (0, 3, 11):
-            groups, looks = (json.loads(json.dumps(part.state(), allow_nan=False)) for part in parts)
-            parts = gt.OnlineGroups.from_state(groups), gt.OnlineAttention.from_state(looks, PLACES)
-        first, second = (one[0].update(t, people) for one in (whole, parts))
-        np.testing.assert_array_equal(first.probability, second.probability)
-        assert first.group.tolist() == second.group.tolist()
-        seen, again = (
-            one[1].update(t, people, grouped) for one, grouped in ((whole, first), (parts, second))
-        )
-        np.testing.assert_array_equal(seen.person, again.person)
-        np.testing.assert_array_equal(seen.place, again.place)
-
-
 def test_states_that_are_damaged_are_told() -> None:
     groups, looks = gt.OnlineGroups(), gt.OnlineAttention(PLACES)
     for t, people in frames(estimated(steps=3).tracks):

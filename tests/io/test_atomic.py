@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command import ran
 
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
@@ -227,12 +226,3 @@ def test_files_are_written_and_line_ends_of_windows_read(tmp_path):
     assert b"\r" not in (tmp_path / "again.csv").read_bytes()
     run(tmp_path, "convert", "tracks.csv", "-o", "again.csv")  # in place of an older one
     assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
-
-
-def test_a_stream_goes_on_from_its_state(tmp_path):
-    rows = [f'{{"track_id": 1, "frame": {k}, "t": {k / 10}, "x": {0.13 * k}, "y": 0}}\n' for k in range(8)]
-    stream = ("track", "-", "--model", "position")
-    kept = (*stream, "--state", "people.state")
-    parts = [run(tmp_path, *kept, stdin="".join(part)) for part in (rows[:5], rows[5:])]
-    straight = ran(*stream, program="graphtrack", rows=map(str.strip, rows))
-    assert "".join(parts) == straight.stdout

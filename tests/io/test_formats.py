@@ -215,7 +215,7 @@ def rows_of(confidences: list[float], identity: int = -1) -> Rows:
         return rows_of_file(path, None, ReadOptions(metres_per_pixel=0.02))
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=9).filter(lambda found: set(found) - {0.0, -1.0})
 )

@@ -1,4 +1,4 @@
-"""Random files: every reader returns or raises a `GraphtrackError` of one line; new examples every day."""
+"""Random files: every reader returns or raises a `GraphtrackError` of one line."""
 
 from __future__ import annotations
 
@@ -15,30 +15,26 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from input_readers import OPTION_FILES, InputReader, format_readers
 from mutations import mutate
 
 from graphtrack import io
-from graphtrack.errors import GraphtrackError
+from graphtrack.errors import GraphtrackError, InputWarning
 from graphtrack.io.formats.mot import read_coco
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from perception.models import load_classifier, model_path
 from perception.storage import load_model
 
-SEED = int(os.environ.get("GRAPHTRACK_FUZZ_SEED", "0"))
-"""``make test-all`` sets that of the day; a failure is repeated with the environment variable."""
-
 FOLDER = TemporaryDirectory()
 READERS = (*OPTION_FILES, *format_readers(Path(FOLDER.name)))
 BY_LABEL = {one.label: one for one in READERS}
 
-FEW = settings(max_examples=15, deadline=None, derandomize=False, database=None)
-MANY = settings(
-    FEW,
-    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000")),
+NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
+fuzzed = settings(
+    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000" if NIGHTLY else "40")),
     suppress_health_check=list(HealthCheck),
 )
 
@@ -80,9 +76,10 @@ WORDS = st.sampled_from(
 
 
 def reads(one: InputReader, content: bytes) -> None:
-    """Read a content; other exceptions than of this package pass, with the seed."""
+    """Read a content; other exceptions than of this package pass."""
     with TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", InputWarning)
         path = one.write(Path(folder), content)
         refused_or_read(lambda: one.read(path))
 
@@ -92,9 +89,6 @@ def refused_or_read(read: Any) -> None:
         read()
     except GraphtrackError as error:
         assert "\n" not in str(error)
-    except Exception as error:
-        error.add_note(f"GRAPHTRACK_FUZZ_SEED={SEED}")
-        raise
 
 
 def mutated(label: str, data: st.DataObject) -> bytes:
@@ -114,22 +108,11 @@ def mutated(label: str, data: st.DataObject) -> bytes:
     return content[:start] + content[start:end] * times + content[end:]
 
 
-def fuzzed(test: Any) -> Any:
-    """Run a test a little in CI and much with the slow tests."""
-    amounts = [pytest.param(FEW, id="few"), pytest.param(MANY, id="many", marks=pytest.mark.slow)]
-    return pytest.mark.parametrize("amount", amounts)(test)
-
-
 @fuzzed
 @pytest.mark.parametrize("label", sorted(BY_LABEL))
-def test_changed_contents(label: str, amount: settings) -> None:
-    @amount
-    @seed(SEED)
-    @given(st.data())
-    def run(data: st.DataObject) -> None:
-        reads(BY_LABEL[label], mutated(label, data))
-
-    run()
+@given(data=st.data())
+def test_changed_contents(label: str, data: st.DataObject) -> None:
+    reads(BY_LABEL[label], mutated(label, data))
 
 
 JSON = st.recursive(
@@ -185,14 +168,9 @@ DOCUMENTS = {
     [*DOCUMENTS.items(), ("keypoints", MMPOSE), ("keypoints", MMPOSE_SCRIPT), ("keypoints", OPENPOSE)],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_json_of_other_types(label: str, document: Any, amount: settings) -> None:
-    @amount
-    @seed(SEED)
-    @given(changed_json(document))
-    def run(content: Any) -> None:
-        reads(BY_LABEL[label], json.dumps(content).encode())
-
-    run()
+@given(data=st.data())
+def test_json_of_other_types(label: str, document: Any, data: st.DataObject) -> None:
+    reads(BY_LABEL[label], json.dumps(data.draw(changed_json(document))).encode())
 
 
 CELLS = (
@@ -256,75 +234,64 @@ def value_of(kind: pa.DataType, k: int) -> Any:
 
 
 @fuzzed
-def test_parquet_of_other_types(amount: settings, tmp_path: Path) -> None:
-    @amount
-    @seed(SEED)
-    @given(st.dictionaries(st.sampled_from(NAMES_OF_TABLE), COLUMN_TYPES, max_size=3), st.booleans())
-    def run(types: dict[str, pa.DataType], with_null: bool) -> None:
-        columns: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
-        columns |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
-        for name, kind in types.items():
-            values = [value_of(kind, k) for k in range(3)]
-            columns[name] = pa.array([None, *values[1:]] if with_null else values, kind)
-        try:
-            pq.write_table(pa.table(columns), tmp_path / "a.parquet")
-        except pa.ArrowException:  # of a type that Parquet lacks
-            return
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet"))
-            refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet", columns="id=track_id,t=t"))
-
-    run()
+@given(
+    types=st.dictionaries(st.sampled_from(NAMES_OF_TABLE), COLUMN_TYPES, max_size=3), with_null=st.booleans()
+)
+def test_parquet_of_other_types(types: dict[str, pa.DataType], with_null: bool, tmp_path: Path) -> None:
+    columns: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
+    columns |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
+    for name, kind in types.items():
+        values = [value_of(kind, k) for k in range(3)]
+        columns[name] = pa.array([None, *values[1:]] if with_null else values, kind)
+    try:
+        pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    except pa.ArrowException:  # of a type that Parquet lacks
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet"))
+        refused_or_read(lambda: io.read_identified(tmp_path / "a.parquet", columns="id=track_id,t=t"))
 
 
-@fuzzed
-def test_tables_in_memory_of_other_types(amount: settings) -> None:
-    odd = CELLS | st.just(10**400) | st.just([1.0, 2.0]) | st.just([1.0]) | st.just({"a": 1}) | st.just(pd.NA)
-    odd = odd | st.just(pd.NaT) | st.just(np.array([1.0])) | st.just(np.float32(1)) | st.just(1j)
-
-    @amount
-    @seed(SEED)
-    @given(
-        st.dictionaries(st.sampled_from(NAMES_OF_TABLE), st.lists(odd, min_size=3, max_size=3), max_size=3)
-    )
-    def run(columns: dict[str, list[Any]]) -> None:
-        table: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
-        table |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
-        for name, cells in columns.items():
-            table[name] = np.empty(3, dtype=object)
-            table[name][:] = cells
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            refused_or_read(lambda: io.read_identified(pd.DataFrame(table)))
-            refused_or_read(lambda: io.read_identified(table, columns="id=track_id,t=t"))
-
-    run()
+ODD = CELLS | st.just(10**400) | st.just([1.0, 2.0]) | st.just([1.0]) | st.just({"a": 1}) | st.just(pd.NA)
+ODD = ODD | st.just(pd.NaT) | st.just(np.array([1.0])) | st.just(np.float32(1)) | st.just(1j)
 
 
 @fuzzed
-def test_model_files(amount: settings, tmp_path: Path) -> None:
-    card = json.loads(str(np.load(model_path("templates"))["card"]))
-    arrays = {name: values for name, values in np.load(model_path("templates")).items() if name != "card"}
+@given(st.dictionaries(st.sampled_from(NAMES_OF_TABLE), st.lists(ODD, min_size=3, max_size=3), max_size=3))
+def test_tables_in_memory_of_other_types(columns: dict[str, list[Any]]) -> None:
+    table: dict[str, Any] = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [0.0, 0.1, 0.2]}
+    table |= {"x": [0.0, 0.1, 0.2], "y": [0.0, 0.0, 0.0]}
+    for name, cells in columns.items():
+        table[name] = np.empty(3, dtype=object)
+        table[name][:] = cells
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        refused_or_read(lambda: io.read_identified(pd.DataFrame(table)))
+        refused_or_read(lambda: io.read_identified(table, columns="id=track_id,t=t"))
 
-    @amount
-    @seed(SEED)
-    @given(
-        changed_json(card), st.sampled_from([*arrays]), st.sampled_from(["", "drop", "shape", "text", "cut"])
-    )
-    def run(content: Any, name: str, change: str) -> None:
-        changed: dict[str, Any] = dict(arrays)
-        if change == "drop":
-            del changed[name]
-        elif change:
-            shaped = {"shape": np.zeros((2, 0, 3)), "text": np.array("a"), "cut": np.ravel(arrays[name])[:1]}
-            changed[name] = shaped[change]
-        path = tmp_path / "a.npz"
-        np.savez_compressed(path, card=np.array(json.dumps(content)), **changed)
-        refused_or_read(lambda: load_model(path)[0].text())
-        refused_or_read(lambda: load_classifier("templates", path))
 
-    run()
+CARD = json.loads(str(np.load(model_path("templates"))["card"]))
+ARRAYS = {name: values for name, values in np.load(model_path("templates")).items() if name != "card"}
+
+
+@fuzzed
+@given(
+    content=changed_json(CARD),
+    name=st.sampled_from([*ARRAYS]),
+    change=st.sampled_from(["", "drop", "shape", "text", "cut"]),
+)
+def test_model_files(content: Any, name: str, change: str, tmp_path: Path) -> None:
+    changed: dict[str, Any] = dict(ARRAYS)
+    if change == "drop":
+        del changed[name]
+    elif change:
+        shaped = {"shape": np.zeros((2, 0, 3)), "text": np.array("a"), "cut": np.ravel(ARRAYS[name])[:1]}
+        changed[name] = shaped[change]
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, card=np.array(json.dumps(content)), **changed)
+    refused_or_read(lambda: load_model(path)[0].text())
+    refused_or_read(lambda: load_classifier("templates", path))
 
 
 def test_deep_cards_and_coco_categories(tmp_path: Path) -> None:

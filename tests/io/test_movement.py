@@ -298,7 +298,7 @@ def test_a_damaged_file_is_told(tmp_path: Path) -> None:
 @given(
     st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=20)
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_changed_bytes_are_read_or_one_error(changes):
     with TemporaryDirectory() as folder:
         path = sleap(Path(folder) / "poses.h5")

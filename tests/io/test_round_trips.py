@@ -93,7 +93,7 @@ def assert_same(a: TrackSet, b: TrackSet) -> None:
 
 @pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ndjson", ".csv.gz", ".jsonl.gz"])
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(written=tracks())
 def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -116,7 +116,7 @@ CELL = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(CELL, CELL), min_size=1, max_size=6), st.sampled_from(["\n", "\r\n", "\n\n"]))
 def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, str]], end: str) -> None:
     text = end.join(["track_id,x,other", *(f"1,{a},{b}" for a, b in rows)])

@@ -113,7 +113,7 @@ def test_units_of_length(units: str, metre: float, tmp_path: Path) -> None:
 
 
 @given(count=st.integers(0, 2**62), steps=st.lists(st.integers(1, 10**12), min_size=1, max_size=5))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_whole_counts_come_back_to_the_last_digit(count: int, steps: list[int]) -> None:
     for unit, size in (("ns", 1), ("us", 1000), ("ms", 10**6)):
         values = (count // 2 // size) + np.cumsum([0, *steps])

@@ -63,7 +63,7 @@ def refused(folder: Path, text: str) -> InputError:
     return caught.value
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS, scene=SCENES)
 def test_a_saved_model_loads_as_it_was(
     tmp_path: Path, preset: str, parameters: Parameters, scene: dict[str, float]

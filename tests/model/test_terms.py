@@ -514,7 +514,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
 # Mixtures.
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.data())
 def test_a_mixture_is_what_scipy_says(data: st.DataObject) -> None:
     n = data.draw(st.integers(1, 12))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = "graphtrack"
+PACKAGES = ("graphtrack", "perception")
 LONGEST = 3600.0
 """Seconds after which tests that do not end count as failed."""
 
@@ -29,7 +29,7 @@ TESTS = "model inference"
 
 @dataclass(frozen=True)
 class Mutant:
-    """A mistake: a unique piece of code of the package, its replacement, and the tests that should fail.
+    """A mistake: a unique piece of code of the packages, its replacement, and the tests that should fail.
 
     The piece is looked for in all files, so that it may move from one to another.
     """
@@ -62,12 +62,12 @@ def copy_tree(folder: Path) -> None:
 
 
 def find(tree: Path, piece: str) -> Path:
-    """The file of the package that contains a piece of code."""
-    counts = {path: path.read_text("utf-8").count(piece) for path in (tree / PACKAGE).rglob("*.py")}
-    (found,) = (path for path, count in counts.items() if count)
-    if counts[found] != 1:
-        raise ValueError(f"{counts[found]} times in {found.name}")
-    return found
+    """The file of the packages that contains a piece of code."""
+    paths = [path for package in PACKAGES for path in (tree / package).rglob("*.py")]
+    found = [path for path in paths for _ in range(path.read_text("utf-8").count(piece))]
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} times in the packages")
+    return found[0]
 
 
 def fails(tree: Path, tests: tuple[str, ...]) -> str:

@@ -32,7 +32,7 @@ def picture(seed: int, height: int = 96, width: int = 40) -> np.ndarray:
     return cv2.resize(few, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 1000), min_size=1, max_size=5))
 def test_a_description_is_of_one_picture_alone(seeds: list[int]) -> None:
     pictures = [picture(seed) for seed in seeds]

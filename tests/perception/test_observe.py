@@ -13,8 +13,7 @@ from command import ran, run
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from perception.detection.boxes import Detections, PersonBox, read_boxes, write_boxes
-from perception.detection.hog import PeopleDetector
+from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.images.frames import FrameSource
 from perception.observe.pipeline import PersonObservation, by_frame, observe_frame
 from perception.observe.tables import to_tracks
@@ -90,32 +89,6 @@ def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(track.head_likelihood.sum(axis=1), 1.0, atol=1e-3)
     body = EIGHT.mean_pan(np.log(track.body_likelihood + 1e-9))
     assert np.abs(body).mean() < np.deg2rad(60.0)  # they walk to the right; by chance: 90°
-
-
-def test_detection_that_was_broken_off_goes_on(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    looked: list[int] = []
-    boxes = read_boxes(clip / "boxes.txt")
-
-    def detect(self: PeopleDetector, image: np.ndarray) -> Detections:
-        looked.append(len(looked))
-        if len(looked) == 4:
-            raise KeyboardInterrupt
-        return Detections(np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1))
-
-    monkeypatch.setattr(PeopleDetector, "detect", detect)
-    arguments = "observe", clip / "frames", "-o", tmp_path / "o.csv"
-    assert run(*arguments).returncode != 0
-    assert (tmp_path / "o.csv.detections").exists() and not (tmp_path / "o.csv").exists()
-    decoded = images_read(monkeypatch)
-    done = run(*arguments)
-    assert decoded == ["0003", "0004", "0005", *(f"{k:04d}" for k in range(6))]
-    assert done.returncode == 0, done.stderr
-    assert "going on after 3 frames" in done.stderr and "searched for people in 3 frames" in done.stderr
-    assert len(looked) == 4 + 3 and "observed 6 detections" in done.stderr
-    assert set(pd.read_csv(tmp_path / "o.csv")["track_id"]) == {-1}
-    assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
 
 
 def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: Path) -> None:

@@ -11,13 +11,11 @@ import cv2
 import numpy as np
 import pytest
 from command import run
-from hypothesis import given
-from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from perception.experiments.head_trackers import heads_of, slower
 from perception.experiments.sigma_pi_runs import Tally, recordings
-from perception.images.pixels import Image, enlarged
+from perception.images.pixels import Image
 from perception.trackers import color, sigma_pi_cues
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_cues import (
@@ -25,10 +23,8 @@ from perception.trackers.sigma_pi_cues import (
     MotionCue,
     ShapeCue,
     ViewCue,
-    activation,
     descriptors,
     integral,
-    overlap,
     sums,
 )
 from perception.trackers.sigma_pi_network import (
@@ -286,30 +282,6 @@ def test_sums_over_windows_are_direct_sums() -> None:
         rows = slice(max(top, 0), max(top + height, 0))
         columns = slice(max(left, 0), max(left + width, 0))
         assert value == pytest.approx(saliency[rows, columns].sum(dtype=float), abs=1e-4)
-
-
-def test_the_window_that_fits_a_thing_overlaps_most() -> None:
-    saliency = np.zeros((100, 100), np.float32)
-    saliency[30:60, 40:70] = 1.0
-    table = integral(saliency)
-    rng = np.random.default_rng(0)
-    fitting = np.array([[40.0, 30.0, 30.0, 30.0]])
-    others = fitting + np.rint(rng.normal(0.0, 6.0, (300, 4)))
-    others = others[(np.abs(others - fitting) > 0.5).any(axis=1)]
-
-    def fit(windows: np.ndarray) -> np.ndarray:
-        within = sums(table, windows)
-        return overlap(within, sums(table, enlarged(windows, 3.0)) - within, windows[:, 2] * windows[:, 3])
-
-    assert fit(fitting)[0] == 1.0
-    assert fit(others).max() < 1.0
-
-
-@given(st.floats(0.05, 0.95), st.floats(0.01, 0.3))
-def test_an_activation_rises_from_0_to_1(middle: float, width: float) -> None:
-    values = activation(np.linspace(-0.5, 1.5, 41), middle, width)
-    assert values[0] == 0.0 and values[10] == 0.0 and values[-1] == 1.0
-    assert (np.diff(values) >= 0.0).all()
 
 
 def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:

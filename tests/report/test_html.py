@@ -7,17 +7,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from made_up import CALIBRATION, ERRORS, observed, scene, walker
-from page_scripts import delta_decode
 
 from graphtrack.errors import InputError
-from graphtrack.report import lives
-from graphtrack.report import page as build
 from graphtrack.report.content import Card, DataTable, Note, Report, Section
-from graphtrack.report.html import format_cell, packed, render_report, write_html
+from graphtrack.report.html import format_cell, render_report, write_html
 from graphtrack.report.lives import pair_tracks
 from graphtrack.report.page import tracking_report
-from graphtrack.report.plots import comparison
-from graphtrack.report.replay import LENGTH_STEP, replay_data
+from graphtrack.report.replay import replay_data
 from graphtrack.tracks.track import ReadSummary, TrackSet
 
 HOSTILE = "</script><script>alert('x')</script>&\"'"
@@ -101,16 +97,6 @@ def test_the_page_says_what_it_leaves_out():
     words = " ".join(" ".join(Page(render_report(thinned)).words).split())
     assert "242 of 1 200 person-frames, one every 0.2 s" in words
     assert "person-frames, one every" not in render_report(Report("t", replay=replay_data(pairs)))
-
-
-def test_the_replay_in_the_page_brings_back_the_positions(full):
-    page = Page(full)
-    estimates, _ = scene(people=3)
-    for person, estimate in zip(replay_in(page)["people"], estimates, strict=True):
-        t = delta_decode(person["t"], 1e-3, len(person["t"]))
-        at = np.searchsorted(estimate.t, t - 5e-4)
-        x = delta_decode(person["x"], LENGTH_STEP, len(t))
-        assert x == pytest.approx(estimate.position[at, 0], abs=1e-3)
 
 
 def test_hostile_words_stay_words():
@@ -198,30 +184,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     with pytest.raises(InputError):
         write_html(tmp_path / "nowhere" / "report.html", Report("third"))
-
-
-def test_data_in_a_page_cannot_end_their_element():
-    text = packed({"label": HOSTILE + "<!--"})
-    assert not set("<>&") & set(text)
-    assert unpacked(text)["label"] == HOSTILE + "<!--"
-
-
-def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
-    counts = {"pair": 0, "error": 0}
-
-    def counting(name, function):
-        def counted(*arguments):
-            counts[name] += 1
-            return function(*arguments)
-
-        return counted
-
-    counted_pairs = counting("pair", lives.pair_track)
-    for module in (lives, comparison):
-        monkeypatch.setattr(module, "pair_track", counted_pairs)
-    monkeypatch.setattr(build, "angular_error", counting("error", build.angular_error))
-    tracking_report(*scene(people=3))
-    assert counts == {"pair": 3, "error": 3 * 2}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from graphtrack.interaction.groups import groups
 from graphtrack.report.plots import plot_angles, plot_errors, plot_reliability, plot_tracks
 from graphtrack.report.plots.interaction import plot_group_timeline, plot_look_timeline
 from graphtrack.report.plots.scene import CROWD
-from graphtrack.report.style import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
+from graphtrack.report.style import angle_bands, break_at_seam
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -227,27 +227,6 @@ def test_of_a_crowd_only_paths_are_drawn():
     assert not crowd.axes[0].texts and not crowd.axes[0].collections
 
 
-@pytest.mark.parametrize("probability", [0.5, 0.95])
-def test_the_ellipse_holds_its_share_of_a_gaussian(probability):
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(2, 2))
-    covariance = root @ root.T
-    major, minor, angle = probability_ellipse(covariance, probability)
-    samples = rng.multivariate_normal([0, 0], covariance, 40_000)
-    c, s = np.cos(angle), np.sin(angle)
-    along, across = samples @ [c, s], samples @ [-s, c]
-    share = np.mean((along / major) ** 2 + (across / minor) ** 2 <= 1.0)
-    assert share == pytest.approx(probability, abs=0.01)
-
-
-def test_the_ellipse_turns_with_the_covariance():
-    turn = 0.7
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    major, minor, angle = probability_ellipse(rotation @ np.diag([9.0, 1.0]) @ rotation.T)
-    assert [major / minor, angle] == pytest.approx([3.0, turn])
-    assert np.isnan(probability_ellipse(np.full((2, 2), np.nan)).semi_major)
-
-
 angle_lists = st.lists(st.one_of(st.floats(-3.14, 3.14), st.just(float("nan"))), min_size=1, max_size=30)
 
 
@@ -292,15 +271,6 @@ def test_a_band_covers_what_is_within_its_half_width_and_nothing_else(start, rat
             for band in bands
         )
         assert covered == (abs(difference(angle, start + rate * t[i])) <= half)
-
-
-def test_runs_and_holes():
-    assert finite_runs(np.array([True, True, False, True])) == [slice(0, 2), slice(3, 4)]
-    t = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
-    opened_t, values = open_holes(t, np.ones(5))
-    assert np.isnan(values).tolist() == [False, False, False, True, False, False]
-    assert opened_t[3] == pytest.approx(2.6)
-    assert np.all(np.diff(opened_t) > 0)
 
 
 def pair(seconds: float = 20.0) -> TrackSet:

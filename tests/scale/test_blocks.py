@@ -72,6 +72,7 @@ def test_one_block_is_what_the_recording_gives_in_memory_and_more_keep_peoples_n
     assert done.n_smoothed == blocks.people
 
 
+@pytest.mark.slow
 def test_blocks_may_be_associated_anywhere(
     seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

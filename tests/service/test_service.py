@@ -90,31 +90,6 @@ def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
             assert connection.recv(timeout=60) == first
 
 
-@pytest.mark.slow
-def test_a_killed_service_goes_on(tmp_path):
-    sent, found = rows(30), []
-    with serving("--state", str(tmp_path)) as first, first.connect("lasting") as connection:
-        for line in sent[:33]:
-            connection.send(line)
-        found = answers(connection, 33)
-        first.stop(signal.SIGKILL)
-    with serving("--state", str(tmp_path)) as second:
-        with second.connect("lasting") as connection:
-            there = json.loads(connection.recv(timeout=60))
-            found = found[: there["rows"] - there["given_again"]]
-            for line in sent[there["rows"] :]:
-                connection.send(line)
-            connection.send("")
-            found += everything(connection)[0]
-        assert found == of_track(sent)
-        # On a stop signal it saves the state of open streams and exits with 0.
-        with second.connect("open") as connection:
-            connection.send(sent[0])
-            connection.recv(timeout=60)
-            assert second.stop() == 0
-    assert (tmp_path / "open.state").exists()
-
-
 def test_one_connection_a_stream_and_so_many_streams(service):
     with service.connect("one") as connection:
         connection.send(rows(1)[0])

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from serving import everything, processes_of, rows, serving, wait_until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -144,20 +143,6 @@ def test_a_start_that_fails_is_refused_and_frees_its_place(
             assert "track_id" in await answered(one)
 
     running(work())
-
-
-@pytest.mark.slow
-def test_a_client_is_told_of_a_process_that_is_stuck() -> None:
-    with serving("--patience", "1") as service:
-        with service.connect("socket") as connection:
-            connection.send(rows(1)[0])
-            connection.recv(timeout=60)
-            for process in processes_of(service):
-                os.kill(process, signal.SIGSTOP)
-            connection.send(rows(1)[0])
-            found, closed = everything(connection)
-            assert found == [] and closed.code == 1011 and "did not answer for 10 s" in closed.reason
-        wait_until(lambda: json.loads(service.request("GET", "/health")[1])["streams"] == 0)
 
 
 @pytest.mark.slow

@@ -66,7 +66,7 @@ far = st.floats(60.001, 1e10) | st.sampled_from([1e10, 3600.0, 86_400.0])
 
 
 @kinds
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(
     place=st.integers(1, 19),
     jump=far,
@@ -88,6 +88,14 @@ def test_rows_of_one_implausible_time_change_nothing(
     expected = each(stream(identified), usual)
     assert found[:place] + found[place + rows :] == expected
     assert len(notes) == 1 and "unconfirmed until the next row agrees" in notes[0]
+
+
+@kinds
+def test_a_plausible_row_discards_the_rows_that_wait(identified: bool) -> None:
+    usual = walkers(10, identified)
+    strange = [{**usual[7], "t": 1e6 + later} for later in (0.0, 0.1)]
+    found = each(stream(identified), [*usual[:7], strange[0], *usual[7:10], strange[1]])
+    assert [row["status"] for row in (*found[7], *found[-1])] == ["unconfirmed"] * 2
 
 
 @kinds
@@ -220,7 +228,7 @@ def test_what_is_kept_is_bounded_while_people_streams_and_time_go_on(
 ) -> None:
     monkeypatch.setattr(paths, "_CAPACITY", 64)  # anchors of forecasts, 4,096 at most
     people = stream(kind == "people", bounds=StreamBounds(forget_after=5.0), **OPTIONS[option])
-    frames = 240
+    frames = 160
     rows = coming_and_going(1, frames, streams=kind == "streams", step=1.0)
     if kind == "detections":
         rows = [{key: value for key, value in row.items() if key != "track_id"} for row in rows]
@@ -255,7 +263,7 @@ def test_streams_with_clocks_of_their_own_are_forgotten_by_what_elapses() -> Non
     """A clip after the other, each from 0 on, and one stream that goes on all the time at another time."""
     people = stream(False, bounds=StreamBounds(forget_after=5.0))
     most = 0
-    for clip in range(40):
+    for clip in range(15):
         for row in walkers(10, False, step=0.2):
             people.answers(1, json.dumps({**row, "stream": f"clip{clip}"}).encode())
         live = {"t": 1e6 + 2.0 * clip, "x": 0.0, "y": 0.0, "stream": "live"}

@@ -222,8 +222,11 @@ def test_a_tracker(name: str, cwd: Path) -> None:
 
 @pytest.mark.parametrize(
     "scene",
-    [{"clutter_density": 1e-4, "look_ahead": 6}, SceneParameters(death_rate=0.1), None],
-    ids=["some", "all", "none"],
+    [
+        pytest.param({"clutter_density": 1e-4, "look_ahead": 6}, id="some"),
+        pytest.param(SceneParameters(death_rate=0.1), id="all", marks=pytest.mark.slow),
+        pytest.param(None, id="none"),
+    ],
 )
 def test_a_tracker_of_a_scene(scene: Any) -> None:
     given = observations(rows(Case(), identified=False))

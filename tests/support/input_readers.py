@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from format_samples import SAMPLES, Sample, name_of
 
 from graphtrack import io
@@ -25,6 +26,7 @@ from graphtrack.io.groups import read_groups
 from graphtrack.io.suggestion import suggest
 from graphtrack.model import Model
 from graphtrack.streaming.protocol import StreamNames, UnknownKeys, error_row, text_of
+from graphtrack.tracks.track import Track, TrackSet
 from perception.detection.boxes import read_boxes
 from perception.detection.keypoint_files import read_keypoints
 
@@ -72,9 +74,20 @@ def _keypoints() -> bytes:
     return json.dumps({"annotations": people, "images": names, "categories": [{"id": 1}]}).encode()
 
 
+def as_checked(tracks: TrackSet) -> None:
+    """Assert that all rows are counted, and that a reader's arrays pass the checks of a user's own."""
+    assert isinstance(tracks, TrackSet) and tracks.summary.rows_used == tracks.n_frames
+    for track in tracks:
+        checked = Track(**vars(track))
+        for name, value in vars(track).items():
+            if isinstance(value, np.ndarray):
+                assert value.dtype == getattr(checked, name).dtype and not value.flags.writeable
+                np.testing.assert_array_equal(value, getattr(checked, name))
+
+
 def _of_format(sample: Sample, *, named: bool) -> Read:
     options = {**sample.options, **({"format": sample.format} if named else {})}
-    return lambda path: io.read_identified(path, **options)
+    return lambda path: as_checked(io.read_identified(path, **options))
 
 
 _BOX = b"0,1,10,20,30,40,1,-1,-1,-1\n1,1,10,20,30,40,1,-1,-1,-1\n"

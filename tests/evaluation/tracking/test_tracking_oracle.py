@@ -57,7 +57,7 @@ def test_as_stored_from_trackeval(kind):
 
 
 @pytest.mark.parametrize(("demand", "boxes"), [(GROUND, False), (IMAGE, True)], ids=["ground", "image"])
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=12)
 @given(seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=3))
 def test_as_trackeval_says(demand, boxes, seeds):
     pytest.importorskip(
@@ -70,7 +70,6 @@ def test_as_trackeval_says(demand, boxes, seeds):
     check(together, oracle(pairs, **demand))
 
 
-@settings(deadline=None)
 @given(data=st.data())
 def test_as_trackeval_says_of_ties(data):
     """Positions on a coarse grid, so that many distances are equal and many exactly the threshold."""
