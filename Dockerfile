@@ -5,7 +5,7 @@ COPY . /src
 RUN pip install --no-cache-dir --constraint /src/constraints.txt '/src[serve]' && rm -rf /src
 USER graphtrack
 # What the streams run is compiled once, here.
-RUN python -c "import graphtrack as gt; gt.warm_up('full')"
+RUN graphtrack warm-up
 VOLUME /streams
 EXPOSE 8765
 HEALTHCHECK CMD python -c "import urllib.request as r; r.urlopen('http://127.0.0.1:8765/ready')"

@@ -1,17 +1,21 @@
 """The folder in which compiled functions are kept: its place, its protection, and what it has.
 
 numba reads pickled objects from it, which run as code, so a folder in which others may write is not used.
+Each module's functions have a folder of their own, named by a digest of the sources that they depend on.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import shutil
 import stat
 import sys
 import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
@@ -21,6 +25,10 @@ from graphtrack.errors import InputError
 
 _DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
 """Text that marks sources with compiled functions."""
+
+_IMPORTS = re.compile(
+    rb"^(?:from|import) +((?:graphtrack|perception)[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE
+)
 
 _SUFFIX = ".compiled"
 
@@ -41,7 +49,7 @@ _process = _Process()
 
 
 def machine_code_folder() -> Path | None:
-    """Return the folder, in ``NUMBA_CACHE_DIR`` or the user's cache, one for each state of the sources."""
+    """Return the folder, in ``NUMBA_CACHE_DIR`` or the user's cache, of this installation and this numba."""
     return _found()[0]
 
 
@@ -55,7 +63,7 @@ def _found() -> tuple[Path | None, str]:
         return Path(_process.folders[-1].name), ""
     try:
         base = _base()
-        folder = base / _digest()
+        folder = base / _digest_of([str(_PACKAGES), version("numba")])
         for one in (base, folder):
             one.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _is_protected(one, shared=one == base):
@@ -87,22 +95,88 @@ def _is_protected(folder: Path, *, shared: bool) -> bool:
     return not found.st_mode & _FOREIGN_WRITE or (shared and bool(found.st_mode & stat.S_ISVTX))
 
 
+def folder_of(source: str) -> Path | None:
+    """Return the folder of the functions of a source file, for the present state of what they depend on."""
+    folder, path = machine_code_folder(), Path(source)
+    return None if folder is None else folder / f"{path.stem}-{_state(path)}"
+
+
+_PACKAGES = Path(__file__).parents[1]
+
+
 @cache
-def _digest() -> str:
-    """A digest of numba's version and of the sources in this package that declare compiled functions."""
-    digest = hashlib.sha256(version("numba").encode())
-    package = Path(__file__).parent
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        if path.parent.name == "kernels" or path == Path(__file__) or _DECLARES.search(source):
-            digest.update(source)
+def _state(path: Path) -> str:
+    """Return a digest of a source file and of those that its compiled functions depend on."""
+    return _digest_of(_source(one) for one in sorted(dependencies(path)))
+
+
+def dependencies(path: Path) -> set[Path]:
+    """Return a source file, the modules it imports that declare compiled functions, theirs, and `kernels`."""
+    found, waiting = set[Path](), [path, *(_PACKAGES / "graphtrack" / "kernels").glob("*.py")]
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found.add(one)
+            waiting += [other for other in _imported(one) if _DECLARES.search(_source(other))]
+    return found
+
+
+def _imported(path: Path) -> set[Path]:
+    """Return the modules of the packages that a source file imports."""
+    found = set[Path]()
+    for module, names in _IMPORTS.findall(_source(path)):
+        place = _PACKAGES.joinpath(*module.decode().split("."))
+        found |= {
+            place.with_suffix(".py"),
+            *(place / f"{name}.py" for name in re.findall(r"\w+", names.decode())),
+        }
+    return {one for one in found if one.is_file()}
+
+
+@cache
+def _source(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:  # of a function from the prompt
+        return b""
+
+
+def _digest_of(parts: Iterable[bytes | str]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part if isinstance(part, bytes) else part.encode())
     return digest.hexdigest()[:16]
 
 
-def mark(name: str) -> Path | None:
-    """Return the file that marks a kind of work as compiled; None where no folder can keep it."""
+def mark(name: str, sources: Iterable[str]) -> None:
+    """Mark a kind of work as compiled with the present source files, where a folder can keep that."""
     folder = machine_code_folder()
-    return None if folder is None else folder / f"{name.replace(' ', '-')}{_SUFFIX}"
+    if folder is not None:
+        with suppress(OSError):  # a full disk
+            states = {source: _state(Path(source)) for source in sources}
+            (folder / _file_name(name)).write_text(json.dumps(states))
+
+
+def is_marked(name: str) -> bool:
+    """Return True if a kind of work was compiled, and no source has changed since."""
+    folder = machine_code_folder()
+    if folder is None:
+        return False
+    try:
+        states = json.loads((folder / _file_name(name)).read_text())
+    except (OSError, ValueError):
+        return False
+    return all(_state(Path(source)) == state for source, state in states.items())
+
+
+def _file_name(name: str) -> str:
+    return f"{name.replace(' ', '-')}{_SUFFIX}"
+
+
+def kept_files() -> list[Path]:
+    """Return the files of machine code, one for each compiled function and its types."""
+    folder = machine_code_folder()
+    return [] if folder is None else list(folder.rglob("*.nbc"))
 
 
 def discard() -> None:

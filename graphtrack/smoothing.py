@@ -19,6 +19,7 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.association.tracker import DetectionTracker, PersonEstimate
+from graphtrack.constants import filters
 from graphtrack.constants.commons import commons_of
 from graphtrack.constants.declared import Trust, trusted
 from graphtrack.constants.online import OnlineSmoother
@@ -29,6 +30,7 @@ from graphtrack.forecasting.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
+from graphtrack.inference.chain.batch import fit_lanes
 from graphtrack.inference.engines import (
     Failure,
     OfflineEngine,
@@ -37,6 +39,7 @@ from graphtrack.inference.engines import (
     Solution,
     SolverOptions,
     engine_of,
+    make_solver_ready,
     rehearsals,
 )
 from graphtrack.inference.offline import solve_each
@@ -102,7 +105,9 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    given, model, verdict = trusted(tracks_of(tracks, scene=model.scene), model, trust, constants)
+    given = tracks_of(tracks, scene=model.scene)
+    make_smoothing_ready(given, model, solver, constants, trust)
+    given, model, verdict = trusted(given, model, trust, constants)
     for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
     area = None if walkable is None else WalkableArea.of(walkable)
@@ -195,6 +200,7 @@ def _with_learned(
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
     known = population_of(constants)
+    make_smoothing_ready(tracks, model, engine, constants, n_frames=options.get("n_frames"))
 
     def smoothed(
         some: TrackSet, model: Model, own: Mapping[str, FloatArray], done: Progress | None
@@ -202,6 +208,20 @@ def _with_learned(
         return solve_each(some, model, engine, personal=own, progress=done, **options)
 
     return solve_learned(tracks, model, smoothed, known, progress)
+
+
+def make_smoothing_ready(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    constants: Constants | None = None,
+    trust: Trust = "declared",
+    n_frames: int | None = None,
+) -> None:
+    """Compile, or load, the solver and the filters that smoothing calls; arguments as in `solve_tracks`."""
+    needs_filters = trust != "declared" or is_learned(constants, model)
+    in_lanes = fit_lanes(tracks.tracks, model, n_frames) or [False]
+    make_solver_ready(model, engine, tracks.camera, in_lanes, *[filters.REHEARSAL] * needs_filters)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:
@@ -487,7 +507,6 @@ def warm_up(
         For a name that is none of these.
     """
     from graphtrack.association import offline as association
-    from graphtrack.constants import filters
     from graphtrack.forecasting import forecaster
     from graphtrack.interaction import attention, groups
 
@@ -514,7 +533,7 @@ def warm_up(
         found.append(attention.REHEARSAL)
     if not wanted.isdisjoint((*_DETECTIONS, *_BEHAVIOUR[4:])):
         found.append(forecaster.REHEARSAL)
-    make_ready("what was asked for" if named is None else ", ".join(named), *found)
+    make_ready(", ".join(one for one in WARMED if one in wanted), *found)
 
 
 _UNASKED = 1500  # frames that are kept until the first forecast

@@ -11,7 +11,7 @@ from graphtrack.cli.report import report, view
 from graphtrack.cli.reproduce import demo, reproduce
 from graphtrack.cli.score import score
 from graphtrack.cli.simulate import add_noise, simulate
-from graphtrack.cli.smooth import smooth
+from graphtrack.cli.smooth import smooth, warm_up
 from graphtrack.cli.track import serve, track
 
 app = program_of(
@@ -36,5 +36,6 @@ app = program_of(
         "convert": convert,
         "info": info,
         "formats": formats,
+        "warm-up": warm_up,
     },
 )

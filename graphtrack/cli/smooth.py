@@ -1,4 +1,4 @@
-"""Command `graphtrack smooth`: tracks in memory, or a streamed Parquet data set."""
+"""Commands `graphtrack smooth`, of tracks in memory or a streamed Parquet data set, and `warm-up`."""
 
 from __future__ import annotations
 
@@ -178,10 +178,9 @@ def smooth(
     )
     from graphtrack.constants.declared import trusted
     from graphtrack.geometry.walkable import WalkableArea
-    from graphtrack.inference.chain.batch import fit_lanes
-    from graphtrack.inference.engines import Failure, Solution, engine_of, make_solver_ready
+    from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
-    from graphtrack.smoothing import solve_tracks
+    from graphtrack.smoothing import make_smoothing_ready, solve_tracks
     from graphtrack.tracks.gaps import LONGEST_FILLED, at_times, split_at_gaps, with_times_at
 
     chosen = Model.named(model)
@@ -217,11 +216,11 @@ def smooth(
         tracks = _without_gaps(tracks)
     if resample is not None:
         tracks = with_times_at(tracks, resample)
-    observed, chosen, verdict = trusted(tracks, chosen, trust or "check", constants)
+    trust = trust or "check"
+    make_smoothing_ready(tracks, chosen, solver, constants, trust)
+    observed, chosen, verdict = trusted(tracks, chosen, trust, constants)
     for line in verdict:
         emit(f"  note: {line}")
-    in_lanes = fit_lanes(observed.tracks, chosen)
-    make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(
@@ -284,3 +283,35 @@ def _without_gaps(tracks: TrackSet) -> TrackSet:
     if odd := gaps_without_time(tracks):
         emit(f"  note: {counted(odd, 'gap')} not filled, whose frame numbers do not fit the times")
     return found
+
+
+def warm_up(
+    functions: Annotated[list[str] | None, typer.Argument(metavar="FUNCTION...")] = None,
+    model: options.BestModelName = None,
+    behaviour: Annotated[bool, typer.Option("--behaviour")] = False,
+    large: Annotated[bool, typer.Option("--large")] = False,
+    walls: Annotated[bool, typer.Option("--walls")] = False,
+) -> None:
+    """Compile what the first calls would wait for, in all processors; once on a machine, or in an image.
+
+    Parameters
+    ----------
+    functions : Names in Python, as of graphtrack.warm_up; default smooth, OnlineSmoother, OnlineTracker and
+        associate.
+    behaviour : Groups, attention and forecasts too.
+    large : What only large data sets need too.
+    walls : Walls too, for --walkable.
+    """
+    from graphtrack import smoothing
+    from graphtrack.machine_code import kept_files, machine_code_folder, why_not_kept
+
+    if why_not_kept():
+        raise InputError(f"no folder for machine code: {why_not_kept()}", "one in NUMBA_CACHE_DIR")
+    start, before = time.perf_counter(), len(kept_files())
+    smoothing.warm_up(model, functions=functions, behaviour=behaviour, large=large, walkable=walls)
+    files = kept_files()
+    size = sum(file.stat().st_size for file in files) / 2**20
+    emit(
+        f"compiled {counted(len(files) - before, 'function')} in {duration(time.perf_counter() - start)}; "
+        f"{counted(len(files), 'function')}, {size:.0f} MB in {machine_code_folder()}"
+    )

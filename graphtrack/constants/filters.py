@@ -60,7 +60,7 @@ def motion_evidence(
     And the gross errors (m, q) among the positions that each expects. ``camera``: of positions in the image
     """
     variance = np.concatenate([position_variance(track, parameters, camera) for track in tracks])
-    found = np.zeros((2, len(tracks), len(densities)))
+    found, densities = np.zeros((2, len(tracks), len(densities))), np.array(densities)  # writable: one type
     given, speed_variance = _times(tracks), parameters.motion.initial_speed_std**2
     if persistent is None or not persistent.is_any:
         position, memory = (
@@ -299,7 +299,8 @@ def filter_persistent(
     slope = persistent * rate * rate
     axes = value.shape[1]
     mean, of_place = np.zeros((4, axes)), np.zeros(4)
-    spread, moved, step = np.zeros((4, 4)), np.zeros((4, 4)), np.eye(4)
+    spread, moved, step = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    step[0, 0] = step[1, 1] = 1.0
     for track in range(len(offsets) - 1):
         for candidate in range(len(densities)):
             begun, density = False, densities[candidate]
@@ -326,11 +327,19 @@ def filter_persistent(
                     spread[2, 3] -= both
                     spread[3, 2] -= both
                     spread[3, 3] += slope - step[3, 2] ** 2 * persistent - step[3, 3] ** 2 * slope
-                if not math.isfinite(value[k].sum()):
+                total = 0.0
+                for axis in range(axes):
+                    total += value[k, axis]
+                if not math.isfinite(total):
                     continue
                 if not begun:
-                    mean[:], spread[:], begun = 0.0, 0.0, True
-                    mean[0, :] = value[k]
+                    # Assigning to slices does the same, but takes seconds to compile.
+                    begun = True
+                    for i in range(4):
+                        for axis in range(axes):
+                            mean[i, axis] = value[k, axis] if i == 0 else 0.0
+                        for j in range(4):
+                            spread[i, j] = 0.0
                     spread[0, 0], spread[1, 1] = variance[k] + persistent, speed_variance
                     spread[0, 2], spread[2, 0], spread[2, 2] = -persistent, -persistent, persistent
                     spread[3, 3] = slope
@@ -547,7 +556,7 @@ def _rehearse() -> None:
     turning_evidence([track], "head", Parameters(), np.ones(1))
 
 
-REHEARSAL = Rehearsal("learned constants", _rehearse, 5.0)
+REHEARSAL = Rehearsal("learned constants", _rehearse, 3.5)
 
 
 def _rehearse_online() -> None:

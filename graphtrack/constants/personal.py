@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.constants.filters import REHEARSAL, Persistent, motion_evidence, turning_evidence
+from graphtrack.constants.filters import Persistent, motion_evidence, turning_evidence
 from graphtrack.constants.noise import (
     learned_stds,
     offset_of,
@@ -42,7 +42,7 @@ from graphtrack.constants.prediction import Observed, leave_one_out
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
 from graphtrack.inference.engines import Failure, PersonalConstants, Solution
-from graphtrack.kernels.compilation import make_ready, processors
+from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import BODY, HEAD, N
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET, default_parameters
@@ -147,7 +147,6 @@ def solve_learned(
     check_learnable(model)
     if not len(tracks):
         return [], Population() if population is None else population
-    make_ready("the learned constants", REHEARSAL)
     learned_from = _middles(tracks, LEARNED, FEWEST_LEARNED)
     start = with_learned_noise(Population(), learned_from, model) if population is None else population
     names = undeclared(tracks, model)

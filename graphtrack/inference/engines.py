@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,11 +15,29 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import has_lanes, is_chain, solve_packed
-from graphtrack.inference.chain.initialisation import initial_states, pack, pack_to_solve
+from graphtrack.inference.chain.basin_search import find_other_basins, unwind
+from graphtrack.inference.chain.batch import (
+    Group,
+    Options,
+    challenge,
+    has_lanes,
+    is_chain,
+    solve_packed,
+    solve_tracks,
+)
+from graphtrack.inference.chain.covariance import find_covariances
+from graphtrack.inference.chain.initialisation import (
+    empty_result,
+    initial_states,
+    pack,
+    pack_to_solve,
+    problem_of,
+)
+from graphtrack.inference.chain.newton import workspace
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.kernels.compilation import TRACK, Rehearsal, make_ready
+from graphtrack.kernels.compilation import TRACK, Rehearsal, compile_for, make_ready
+from graphtrack.kernels.layout import Chain, N
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.function_term import FunctionTerm
 from graphtrack.model.model import has_kernels
@@ -374,15 +393,15 @@ def make_solver_ready(
     engine: OfflineEngine,
     camera: GroundCamera | None = None,
     in_lanes: Collection[bool] = (False,),
-    *,
+    *further: Rehearsal,
     complete: bool = False,
 ) -> None:
-    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not.
+    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not, and ``further`` ones.
 
     ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
     terms.
     """
-    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete))
+    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete), *further)
 
 
 def make_online_ready(model: Model, engine: OnlineEngine) -> None:
@@ -411,13 +430,14 @@ def _solver_rehearsals(
         return [_graph_rehearsal(None if own and not complete else model)]
     # Linear with the camera of a scene, where its tracks have no pixels.
     linear, like = model.is_linear(pack([TRACK], model)), _like(model)
-    found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []
+    found = [Rehearsal("offline linear", partial(_solve, Model("position")), 1.0)] if linear else []
     if linear and camera is None and not complete:
         return found
     if not all(in_lanes):
-        found.append(Rehearsal(f"offline {_kind(model)}", lambda: _solve(like), 25.0))
+        found.append(Rehearsal(f"offline {_kind(model)}", partial(_solve, like), 7.0, _parts(model)))
+        found += [] if has_own_kernels(model) else [_start()]
     if any(in_lanes):
-        found.append(Rehearsal(f"lanes {_kind(model)}", lambda: _solve(like, in_lanes=True), 25.0))
+        found.append(Rehearsal(f"lanes {_kind(model)}", partial(_solve, like, in_lanes=True), 25.0))
     return found
 
 
@@ -425,14 +445,49 @@ def _graph_rehearsal(model: Model | None) -> Rehearsal:
     """Return the rehearsal of GTSAM's engines; without basin search for None."""
     known = None if model is None else model.compiled
     if known is None or not (known.has_body or known.has_head):
-        return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
-    return Rehearsal(f"graph {_kind(known)}", lambda: _search(_like(known)), 8.0)
+        return _start()
+    return Rehearsal(f"graph {_kind(known)}", partial(_search, _like(known)), 8.0)
 
 
 def _online_rehearsal(model: Model) -> Rehearsal:
     """Return the rehearsal of the compiled window."""
     like = _like(model)
-    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 0.15, 1e-8, 5)), 20.0)
+    return Rehearsal(f"online {_kind(model)}", partial(_slide, like), 20.0, _parts(model))
+
+
+def _start() -> Rehearsal:
+    return Rehearsal("start", partial(initial_states, TRACK, Model("position")), 4.0)
+
+
+def _parts(model: Model) -> tuple[Rehearsal, ...]:
+    """Return rehearsals of parts of the solver; none with kernels of a user's own."""
+    if has_own_kernels(model):
+        return ()
+    return (
+        Rehearsal("descent", _compile_descent, 10.0),
+        Rehearsal("basin search", _compile_basin_search, 9.0),
+    )
+
+
+def _compile_descent() -> None:
+    group = _group()
+    compile_for(challenge, group, True, 1, 1.0)
+    compile_for(find_covariances, group.chain, group.states, group.workspace, group.covariance)
+
+
+def _compile_basin_search() -> None:
+    group = _group()
+    chain, states, memory = group.chain, group.states, group.workspace
+    compile_for(find_other_basins, group.all_tracks, group.tracks, chain, states, 0.0, memory)
+    compile_for(unwind, chain, states, 0.0, memory)
+
+
+def _group() -> Group:
+    """Return the arrays of one track, uninitialised."""
+    n, problem = len(TRACK), problem_of(pack_to_solve([TRACK], Model("joint")))
+    memory = workspace.py_func(n)  # type: ignore[attr-defined]
+    states, covariance = np.empty((n, N)), np.empty((n, N, N))
+    return Group(Chain(problem, 0, n, float(n)), problem, np.zeros(1, np.int64), states, covariance, memory)
 
 
 def _like(model: Model) -> Model:
@@ -450,7 +505,11 @@ def _kind(model: Model) -> str:
 
 
 def _solve(model: Model, *, in_lanes: bool = False) -> None:
-    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes)
+    packed = pack_to_solve([TRACK], model)
+    if not (in_lanes or model.is_linear(packed)):
+        # What comes first in a solution may be compiled by another process meanwhile.
+        compile_for(solve_tracks, problem_of(packed), 1, Options(1, 1.0, True), empty_result(packed))
+    solve_packed(packed, model, in_lanes=in_lanes)
 
 
 def _search(model: Model) -> None:
@@ -460,8 +519,8 @@ def _search(model: Model) -> None:
     view.other(states, 0.0)
 
 
-def _slide(window: ChainWindow) -> None:
-    previous = None
+def _slide(model: Model) -> None:
+    window, previous = ChainWindow(model, 0.15, 1e-8, 5), None
     for k, observation in enumerate(observations(TRACK)):
         step = Step(k, observation, previous, seconds_between(previous, observation), previous is None)
         window.extend(step, (*TRACK.position[k].tolist(), 0.0, 0.0, 0.0, 0.0))

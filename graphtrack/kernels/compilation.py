@@ -1,6 +1,7 @@
 """Compilation by numba's public decorator, cached on disk, releasing the interpreter's lock.
 
-`compiled` declares a function, `allocating` one that makes arrays; `make_ready` compiles ahead, with a log.
+`compiled` declares a function, `allocating` one that makes arrays; `make_ready` compiles ahead, in several
+processes, with a log.
 """
 
 from __future__ import annotations
@@ -9,11 +10,14 @@ import contextlib
 import errno
 import logging
 import os
+import pickle
 import re
+import subprocess
+import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -21,7 +25,15 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.machine_code import discard, machine_code_folder, mark, use_own_folder, why_not_kept
+from graphtrack.machine_code import (
+    discard,
+    folder_of,
+    is_marked,
+    machine_code_folder,
+    mark,
+    use_own_folder,
+    why_not_kept,
+)
 from graphtrack.tracks.track import Track
 
 try:
@@ -100,10 +112,9 @@ def _kept(function: Function, **options: Any) -> Function:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("compilation disabled by NUMBA_DISABLE_JIT", expected)
     found = numba.njit(**options)(function)
-    home = machine_code_folder()
-    if home is not None:
+    if machine_code_folder() is not None:
         try:
-            _keep_in(home, [found])
+            _keep([found])
         except RuntimeError:  # of a function without a file: from the prompt, or `exec`
             pass
         else:
@@ -111,13 +122,15 @@ def _kept(function: Function, **options: Any) -> Function:
     return cast(Function, found)
 
 
-def _keep_in(home: Path, functions: Iterable[Any]) -> None:
-    """Keep the machine code of declared functions in a folder."""
+def _keep(functions: Sequence[Any]) -> None:
+    """Keep the machine code of declared functions in the folders of their sources."""
     # Numba reads the setting when caching is enabled.
     with _CACHE_DIR:
-        given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
+        given = numba.config.CACHE_DIR
+        folders = [folder_of(function.py_func.__code__.co_filename) for function in functions]
         try:
-            for function in functions:
+            for function, folder in zip(functions, folders, strict=True):
+                numba.config.CACHE_DIR = str(folder)
                 function.enable_caching()
         finally:
             numba.config.CACHE_DIR = given
@@ -140,43 +153,120 @@ _READY = set[str]()  # Names of the rehearsals that this process has run
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A small job with synthetic data that calls every compiled function of some kind of work.
+    """A small job with synthetic data that calls every compiled function of some kind of work, run once.
 
-    ``seconds`` : approximate processor time of compilation. Rehearsals of one name are run once.
+    Attributes
+    ----------
+    run : the job; another process can do it if it can be pickled
+    seconds : approximate processor time of compilation, without the parts
+    parts : independent rehearsals of functions that it calls, for other processes to compile first
     """
 
     name: str
     run: Callable[[], object]
     seconds: float
+    parts: tuple[Rehearsal, ...] = ()
 
     def is_cold(self) -> bool:
         """Return True if nothing is compiled yet, neither in this process nor on disk."""
-        there = mark(self.name)
-        return self.name not in _READY and (there is None or not there.exists())
+        return self.name not in _READY and not is_marked(self.name)
 
 
 def make_ready(what: str, *rehearsals: Rehearsal) -> None:
     """Run the rehearsals that this process has not run; a long compilation of ``what`` is logged."""
     waiting = [one for one in rehearsals if one.name not in _READY]
-    expected = sum(one.seconds for one in waiting if one.is_cold())
+    rounds = _shared(waiting)
+    expected = sum(max(sum(one.seconds for one in some) for some in shares) for shares in rounds)
     if expected >= UNNOTICED:
         reason = why_not_kept()
+        count = max(map(len, rounds))
         when = f"in every process: {reason}" if reason else "once on this machine"
+        when += f", in {count} processes" if count > 1 else ""
         logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
     start = time.perf_counter()
+    for own, *others in rounds:
+        _compile_together(own, others)
     for one in waiting:
-        _READY.add(one.name)  # what the rehearsal calls asks for it too
-        try:
-            _rehearse(one)
-        except BaseException:
-            _READY.discard(one.name)
-            raise
-        there = mark(one.name)
-        if there is not None:
-            with contextlib.suppress(OSError):  # a full disk
-                there.touch()
+        _make_ready(one)
     if expected >= UNNOTICED:
         logger.warning("compiled in %.0f s", time.perf_counter() - start)
+
+
+def _shared(waiting: Sequence[Rehearsal]) -> list[list[list[Rehearsal]]]:
+    """Return rounds of compilation, each a list of rehearsals for each process, the first for this one.
+
+    The parts come first. Without a folder that keeps machine code this process does all.
+    """
+    cold = [one for one in waiting if one.is_cold()]
+    parts = {part.name: part for one in cold for part in one.parts if part.is_cold()}
+    rounds = []
+    for some in (list(parts.values()), cold):
+        share = 1 if why_not_kept() or not sys.executable else min(processors(), len(some))
+        processes: list[list[Rehearsal]] = [[] for _ in range(share)]
+        for one in sorted(some, key=lambda one: -one.seconds):
+            min(processes, key=lambda own: sum(one.seconds for one in own)).append(one)
+        if some:
+            rounds.append(processes)
+    return rounds
+
+
+_HELP = "from graphtrack.kernels import compilation; compilation._help()"
+
+
+def _help() -> None:
+    """Run the rehearsals on standard input, in a process of `_compile_together`."""
+    for one in pickle.load(sys.stdin.buffer):
+        _make_ready(one)
+
+
+def _compile_together(own: Sequence[Rehearsal], others: Sequence[Sequence[Rehearsal]]) -> None:
+    """Run rehearsals here, and others each in a process of its own, which keeps its machine code on disk.
+
+    What a process fails to compile, this one compiles when it runs the same rehearsal.
+    """
+    path = os.pathsep.join(str(Path(place).absolute()) for place in sys.path)
+    environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
+    if numba.config.CACHE_DIR:
+        environment["NUMBA_CACHE_DIR"] = str(numba.config.CACHE_DIR)
+    silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    helpers: list[subprocess.Popen[bytes]] = []
+    try:
+        for some in others:
+            # A script's own objects may not be importable, and a process may not start.
+            with contextlib.suppress(OSError, pickle.PicklingError, AttributeError, TypeError):
+                text = pickle.dumps(some)
+                command = [sys.executable, "-P", "-c", _HELP]
+                helper = subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, **silent)
+                helpers.append(helper)
+                assert helper.stdin is not None
+                helper.stdin.write(text)
+                helper.stdin.close()
+        for one in own:
+            _make_ready(one)
+        for helper in helpers:
+            helper.wait()
+    finally:
+        for helper in helpers:
+            helper.kill()
+            helper.wait()
+
+
+def _make_ready(one: Rehearsal) -> None:
+    """Run a rehearsal that this process has not run, and mark it as compiled."""
+    if one.name in _READY:
+        return
+    _READY.add(one.name)  # what the rehearsal calls asks for it too
+    try:
+        _rehearse(one)
+    except BaseException:
+        _READY.discard(one.name)
+        raise
+    mark(one.name, {function.py_func.__code__.co_filename for function in _KEPT})
+
+
+def compile_for(function: Callable[..., object], *arguments: object) -> None:
+    """Compile a declared function for the types of arguments, without calling it."""
+    cast(Any, function).compile(tuple(numba.typeof(one) for one in arguments))
 
 
 def _rehearse(one: Rehearsal) -> None:
@@ -200,7 +290,8 @@ def _replace_kept_code(error: Exception, *, damaged: bool) -> None:
         discard()
         return
     logger.warning("machine code in %s cannot be used (%s): compiling for this process …", folder, reason)
-    _keep_in(use_own_folder(), _KEPT)
+    use_own_folder()
+    _keep(_KEPT)
 
 
 def is_of_kept_code(error: Exception) -> bool:

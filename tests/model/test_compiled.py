@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numba
@@ -50,7 +51,7 @@ def test_numba_s_own_setting_stays_as_it_was(monkeypatch, tmp_path: Path) -> Non
         return 2.0 * x
 
     assert str(tmp_path) == numba.config.CACHE_DIR and twice(3.0) == 6.0
-    assert list(tmp_path.glob(f"{machine_code._digest()}/*/*.nbc"))
+    assert list(tmp_path.glob("*/test_compiled-*/*/*.nbc"))
 
 
 def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch, tmp_path: Path) -> None:
@@ -94,21 +95,64 @@ def test_at_the_prompt_it_compiles() -> None:
     assert done.stdout == "4.0\n"
 
 
-def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch, tmp_path: Path) -> None:
-    kernels, others = tmp_path / "graphtrack" / "kernels", tmp_path / "graphtrack"
-    kernels.mkdir(parents=True)
-    monkeypatch.setattr(machine_code, "__file__", str(others / "machine_code.py"))
-    plain, compiling = "a = 1", "@compiled\ndef one() -> int:\n    return 1\n"
-    digests = [machine_code._digest.__wrapped__()]
-    for path, text in (
-        (others / "two.py", plain),
-        (others / "two.py", compiling),
-        (kernels / "one.py", plain),
-        (kernels / "one.py", "a = 2"),
-    ):
-        path.write_text(text)
-        digests.append(machine_code._digest.__wrapped__())
-    assert digests[0] == digests[1] and len(set(digests)) == 4
+SOURCES = {
+    "kernels/arithmetic": "@compiled\ndef log(x): return x\n",
+    "low": "@compiled\ndef low(x): return x\n",
+    "model/middle": "from graphtrack.low import low\n@inner\ndef middle(x): return low(x)\n",
+    "top": "from graphtrack.model import (\n    plain,\n    middle,\n)\n@allocating\ndef top(x): ...\n",
+    "plain": "from graphtrack import low\n",
+    "model/plain": "from graphtrack.other import other\n",
+    "other": "@compiled\ndef other(x): return x\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("edited", "compiled_again"),
+    [
+        ("kernels/arithmetic", {"kernels/arithmetic", "low", "model/middle", "top", "other"}),
+        ("low", {"low", "model/middle", "top"}),
+        ("model/middle", {"model/middle", "top"}),
+        ("top", {"top"}),
+        ("other", {"other"}),
+        ("model/plain", set()),
+    ],
+)
+def test_an_edit_compiles_again_what_depends_on_it(monkeypatch, tmp_path, edited, compiled_again) -> None:
+    files = {name: tmp_path / "graphtrack" / f"{name}.py" for name in SOURCES}
+    for name, path in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(SOURCES[name])
+    monkeypatch.setattr(machine_code, "_PACKAGES", tmp_path)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "code"))
+    declares = {name: path for name, path in files.items() if "plain" not in name}
+
+    def folders() -> dict[str, Path | None]:
+        machine_code._source.cache_clear()
+        machine_code._state.cache_clear()
+        return {name: machine_code.folder_of(str(path)) for name, path in declares.items()}
+
+    before = folders()
+    machine_code.mark("a kind", map(str, declares.values()))
+    assert machine_code.is_marked("a kind")
+    files[edited].write_text(SOURCES[edited] + "# edited\n")
+    after = folders()
+    assert {name for name in after if after[name] != before[name]} == compiled_again
+    assert machine_code.is_marked("a kind") == (not compiled_again)
+
+
+def test_compiled_functions_call_only_what_their_digest_covers() -> None:
+    compiled_modules = [
+        import_module(".".join(path.relative_to(PACKAGES[0].parent).with_suffix("").parts))
+        for path in sorted(PACKAGES[0].rglob("*.py"))
+        if machine_code._DECLARES.search(path.read_bytes()) and path.name != "compilation.py"
+    ]
+    assert len(compiled_modules) > 15
+    for module in compiled_modules:
+        covered = machine_code.dependencies(Path(str(module.__file__)))
+        for function in [one for one in vars(module).values() if hasattr(one, "py_func")]:
+            for name in function.py_func.__code__.co_names:
+                called = getattr(vars(module).get(name), "py_func", None)
+                assert called is None or Path(called.__code__.co_filename) in covered, (module, name)
 
 
 def test_nothing_stands_on_undocumented_parts_of_numba() -> None:
@@ -162,6 +206,38 @@ def test_where_nothing_can_be_kept_it_says_so_in_every_process(monkeypatch, tmp_
     for _ in range(2):
         assert "in every process" in logged(caplog, Rehearsal("a kind", list, 12.0))[0]
         compilation._READY.clear()
+
+
+TWO_JOBS = """
+from graphtrack.kernels.compilation import compiled
+@compiled
+def one(x: float) -> float:
+    return 2.0 * x
+@compiled
+def two(x: float) -> float:
+    return 3.0 * x
+def run_one():
+    one(1.0)
+def run_two():
+    two(1.0)
+"""
+TOGETHER = """
+from jobs import one, run_one, run_two, two
+from graphtrack.kernels.compilation import Rehearsal, make_ready
+some = Rehearsal("one", run_one, 2.0), Rehearsal("two", run_two, 2.0), Rehearsal("three", lambda: 0, 1.0)
+make_ready("something", *some)
+print([len(function.stats.cache_hits) for function in (one, two)])
+"""
+
+
+@pytest.mark.skipif(compilation.processors() < 2, reason="one process compiles alone")
+def test_independent_work_is_compiled_by_several_processes(tmp_path) -> None:
+    (tmp_path / "jobs.py").write_text(TWO_JOBS)
+    (tmp_path / "program.py").write_text(TOGETHER)
+    status, output, log = run_with(tmp_path / "code", tmp_path / "program.py")
+    assert (status, output) == (0, "[0, 1]"), log
+    assert len(log) == 2 and log[0].endswith("about 5 s …")
+    assert run_with(tmp_path / "code", tmp_path / "program.py") == (0, "[1, 1]", [])
 
 
 DAMAGES = {

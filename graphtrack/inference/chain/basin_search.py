@@ -300,7 +300,8 @@ def find_other_basins(
             this = only_lane(found, lane)
             found |= this
             angles = masked(again, this)
-            here[:, BODY:] = course
+            for k in range(length):  # assigning to a slice takes a second to compile
+                here[k, BODY], here[k, HEAD] = course[k, 0], course[k, 1]
             # The grid is coarser than accurate observations.
             admit_rejected(all_tracks, tracks[lane], here)
             for k in range(length):
