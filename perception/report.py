@@ -26,7 +26,7 @@ from graphtrack.report.plots.scene import plot_tracks
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
-from perception.drawing.overlays import Interval
+from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import Clock, Frame, FrameSource
 from perception.images.pixels import pictures
@@ -185,7 +185,7 @@ class _Shown:
     def person(self, row: int) -> DrawnPerson:
         """Return the person in a row."""
         body, head = (
-            Interval(angle, std) if np.isfinite(angle) else None
+            DirectionEstimate(angle, std) if np.isfinite(angle) else None
             for angle, std in self.angles[row].reshape(2, 2).tolist()
         )
         return DrawnPerson(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from graphtrack.association.likelihood import Chains, IntArray, Scene
+from graphtrack.association.likelihood import Chains, IntArray, SceneRow
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import csgraph, optimize, sparse, spatial
@@ -289,7 +289,7 @@ class AppearanceEvidence:
     constancy: float = 0.0
     scores: ScoreRatio = field(default_factory=ScoreRatio)
 
-    def in_scene(self, scene: Scene) -> Scene:
+    def in_scene(self, scene: SceneRow) -> SceneRow:
         """A scene with the constants of the appearance model."""
         model = self.model
         if model is None:

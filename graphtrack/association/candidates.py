@@ -18,7 +18,7 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     Row,
-    Scene,
+    SceneRow,
     begin,
     born,
     ending,
@@ -129,7 +129,7 @@ def near_detections(
     detections: IntArray,
     grid: Grid,
     bounds: FloatArray,
-    scene: Scene,
+    scene: SceneRow,
     found: IntArray,
 ) -> int:
     """Put into ``found`` the columns of detections within reach; return their number.
@@ -175,7 +175,7 @@ def near_detections(
 
 
 @compiled
-def most_shown(scene: Scene) -> float:
+def most_shown(scene: SceneRow) -> float:
     """Greatest log likelihood ratio of appearance, angles and a given identity that a link can have."""
     most = scene.trust
     if scene.appearance_outliers < 1.0:
@@ -188,7 +188,7 @@ def most_shown(scene: Scene) -> float:
 
 
 @compiled
-def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray, scene: Scene) -> float:
+def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray, scene: SceneRow) -> float:
     """Bound of the log density of a later detection's position and of its gap; see `move`.
 
     ``skipped``: `missed`, of gaps of 0, 1 … frames
@@ -212,7 +212,7 @@ def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray
 
 
 @allocating
-def gaps_missed(scene: Scene) -> FloatArray:
+def gaps_missed(scene: SceneRow) -> FloatArray:
     """Return `missed` for gaps of 0, 1 … frames up to the longest."""
     frames = int(min(scene.longest_gap / scene.frame_seconds, 200.0)) + 1
     skipped = np.empty(frames)
@@ -222,7 +222,7 @@ def gaps_missed(scene: Scene) -> FloatArray:
 
 
 @compiled
-def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
+def worth_of_state(tail: Row, state: FloatArray, scene: SceneRow) -> float:
     """Bound of a tail state's contribution to the log likelihood of a new person's detections."""
     determinant = max(state[4] * state[6] - state[5] * state[5], 1e-12)
     speed = state[2] * state[2] + state[3] * state[3]
@@ -231,7 +231,7 @@ def worth_of_state(tail: Row, state: FloatArray, scene: Scene) -> float:
 
 
 @compiled
-def most_offered(tail: Row, value: float, most: float, scene: Scene) -> float:
+def most_offered(tail: Row, value: float, most: float, scene: SceneRow) -> float:
     """Bound of the gain of a link to a tail of that value as a new person, without `most_dense`.
 
     The following detections have at least the likelihood that they have for a new person, plus the bound.
@@ -242,7 +242,7 @@ def most_offered(tail: Row, value: float, most: float, scene: Scene) -> float:
 
 @allocating
 def most_offered_each(
-    chains: Chains, tails: IntArray, grid: Grid, least: FloatArray, scene: Scene
+    chains: Chains, tails: IntArray, grid: Grid, least: FloatArray, scene: SceneRow
 ) -> FloatArray:
     """Return the greatest `most_offered` over the least gain (``least``) in each group of a grid."""
     most, offered = most_shown(scene), np.full(len(grid.shape), -np.inf)
@@ -274,7 +274,7 @@ def gains_of_links(
     fresh: tuple[Flags, Flags],
     rows: IntArray,
     least: FloatArray,
-    scene: Scene,
+    scene: SceneRow,
 ) -> Edges:
     """Return the gain in evidence of each link of a track's head to a tail over none.
 
@@ -327,7 +327,7 @@ def gains_of_detections(
     fresh: tuple[Flags, Flags],
     rows: IntArray,
     least: FloatArray,
-    scene: Scene,
+    scene: SceneRow,
 ) -> Edges:
     """Return the gain in evidence of each detection of a frame in a track that spans it, over none.
 

@@ -34,7 +34,7 @@ ANY_VELOCITY = np.array([[1.0, 0.0, 0.0, 1.0]])
 """A prior of velocities of one component."""
 
 
-class Scene(NamedTuple):
+class SceneRow(NamedTuple):
     """`SceneParameters.packed`."""
 
     density: float
@@ -64,10 +64,10 @@ class Scene(NamedTuple):
     velocities: FloatArray = ANY_VELOCITY  # prior, see `velocities_of`
 
 
-def scene_of(parameters: SceneParameters, seconds: float, velocities: FloatArray = ANY_VELOCITY) -> Scene:
+def scene_of(parameters: SceneParameters, seconds: float, velocities: FloatArray = ANY_VELOCITY) -> SceneRow:
     """Return the parameters of a scene for kernels, for a frame interval in seconds."""
     values: Any = parameters.packed(seconds)
-    return Scene(*values)._replace(velocities=velocities)
+    return SceneRow(*values)._replace(velocities=velocities)
 
 
 DETECTION = np.dtype(
@@ -185,7 +185,7 @@ def link_by(chains: Chains, identity: IntArray) -> None:
 
 
 @compiled
-def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: Scene) -> float:
+def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: SceneRow) -> float:
     """Log likelihood ratio of the appearance of two detections; see `AppearanceModel`."""
     if scene.appearance_outliers >= 1.0:
         return 0.0
@@ -224,7 +224,7 @@ def see_angle(
 
 
 @compiled
-def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+def see_facing(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
     """Update the state with body and head of a later detection; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
@@ -280,7 +280,7 @@ SAME = 1e-7  # difference of states and of evidence below which links do not cha
 
 
 @compiled
-def missed(frames: int, scene: Scene) -> float:
+def missed(frames: int, scene: SceneRow) -> float:
     """Log probability of a number of frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
         return 0.0
@@ -290,7 +290,7 @@ def missed(frames: int, scene: Scene) -> float:
 
 
 @compiled
-def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+def move(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
     """Fill the state after a later detection; return the log density of its position.
 
     The position may have jumped, after which the velocity is unknown: both states are moment-matched.
@@ -332,7 +332,7 @@ def is_new(state: FloatArray) -> bool:
 
 
 @compiled
-def move_first(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+def move_first(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
     """`move` of a person who was detected once: the components of the velocity's prior are moment-matched."""
     dt, q = later.t - earlier.t, scene.density
     off_x, off_y = later.x - before[0], later.y - before[1]
@@ -367,7 +367,7 @@ def move_first(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
 
 
 @compiled
-def begin(first: Row, scene: Scene, state: FloatArray) -> float:
+def begin(first: Row, scene: SceneRow, state: FloatArray) -> float:
     """The state of a new person at the first detection; its evidence."""
     state[0], state[1] = first.x, first.y
     state[2] = state[3] = state[5] = 0.0
@@ -379,7 +379,7 @@ def begin(first: Row, scene: Scene, state: FloatArray) -> float:
 
 
 @compiled
-def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: SceneRow, state: FloatArray) -> float:
     """The state after detection m of a person whose state was ``before`` at detection k; its evidence.
 
     ``state`` may be ``before``.
@@ -395,21 +395,21 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 
 
 @compiled
-def spread_after(dt: float, state: FloatArray, variance: float, scene: Scene) -> float:
+def spread_after(dt: float, state: FloatArray, variance: float, scene: SceneRow) -> float:
     """Innovation variance (m²) on each axis, of a detection of that variance."""
     q = scene.density
     return state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + q * dt**3 / 3.0 + variance
 
 
 @compiled
-def reach(state: FloatArray, dt: float, variance: float, scene: Scene) -> float:
+def reach(state: FloatArray, dt: float, variance: float, scene: SceneRow) -> float:
     """Gate radius in metres about the position predicted ``dt`` seconds ahead."""
     spread = spread_after(dt, state, variance, scene)
     return GATE * math.sqrt(spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0))
 
 
 @compiled
-def is_within(state: FloatArray, dt: float, later: Row, scene: Scene) -> bool:
+def is_within(state: FloatArray, dt: float, later: Row, scene: SceneRow) -> bool:
     """Return whether a detection ``dt`` seconds after a state is within the gate about its prediction."""
     spread = spread_after(dt, state, later.variance, scene)
     if scene.jump_probability > 0.0:
@@ -428,7 +428,7 @@ def is_same(state: FloatArray, other: FloatArray) -> bool:
 
 
 @compiled
-def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
+def run_on(chains: Chains, state: FloatArray, k: int, scene: SceneRow) -> float:
     """Evidence of the detections after k in its chain, given the state there, which is overwritten.
 
     Stored values are used from ``look_ahead`` detections on, or from where the state is that of the chain.
@@ -442,7 +442,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
 
 
 @compiled
-def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
+def remember_rest(chains: Chains, scene: SceneRow, move: int) -> None:
     """Set ``rest``, which holds for a detection as long as only earlier detections change.
 
     ``move``: number of the move that changes what follows, see `DETECTION`
@@ -459,7 +459,7 @@ def remember_rest(chains: Chains, scene: Scene, move: int) -> None:
 
 
 @compiled
-def ending(chains: Chains, k: int, scene: Scene) -> float:
+def ending(chains: Chains, k: int, scene: SceneRow) -> float:
     """Log probability that a track's last detection is k: death, or misses until the end."""
     left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
@@ -468,7 +468,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 
 
 @compiled
-def born(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
+def born(chains: Chains, k: int, scene: SceneRow, state: FloatArray) -> float:
     """Evidence of the track from detection k on, as of a new person, over that of false detections.
 
     ``state`` (STATE,) is overwritten.
@@ -480,7 +480,7 @@ def born(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
 
 
 @compiled
-def state_after(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
+def state_after(chains: Chains, k: int, scene: SceneRow, state: FloatArray) -> float:
     """Evidence of the whole track of detection k, whose link to the next detection may be new.
 
     ``state`` (STATE,) is overwritten.
@@ -493,7 +493,7 @@ def state_after(chains: Chains, k: int, scene: Scene, state: FloatArray) -> floa
 
 
 @allocating
-def refresh(chains: Chains, first: int, end: int, scene: Scene, move: int) -> None:
+def refresh(chains: Chains, first: int, end: int, scene: SceneRow, move: int) -> None:
     """Filter the detections from ``first`` up to ``end`` along their chains.
 
     ``move``: number of the move that changes states, see `DETECTION`
@@ -515,14 +515,14 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene, move: int) -> No
 
 
 @compiled
-def head_worth(chains: Chains, k: int, scene: Scene) -> float:
+def head_worth(chains: Chains, k: int, scene: SceneRow) -> float:
     """Evidence of the track up to detection k over that of its ending there, or of false detections."""
     total = chains.rows[k].total
     return total - max(0.0, total + ending(chains, k, scene))
 
 
 @compiled
-def change_after(chains: Chains, k: int, scene: Scene, move: int) -> None:
+def change_after(chains: Chains, k: int, scene: SceneRow, move: int) -> None:
     """Mark the link of detection k as changed: for it, and for earlier detections that look so far ahead."""
     chains.rows[k].changed_before = move
     count = 0
@@ -532,7 +532,7 @@ def change_after(chains: Chains, k: int, scene: Scene, move: int) -> None:
 
 
 @allocating
-def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
+def innovations(chains: Chains, scene: SceneRow) -> tuple[float, float, int]:
     """Filter all linked detections; return the log densities of places and of angles, and their number."""
     position_cost, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):
@@ -548,7 +548,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
 
 
 @compiled
-def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
+def roots(chains: Chains, scene: SceneRow, root: IntArray, value: FloatArray) -> None:
     """Fill the first detection of each detection's track (n,), and at each first detection its evidence."""
     for k in range(len(root)):
         before = chains.rows[k].preceding

@@ -16,7 +16,7 @@ from graphtrack.association.candidates import Flags, gains_of_detections, gains_
 from graphtrack.association.likelihood import (
     Chains,
     IntArray,
-    Scene,
+    SceneRow,
     change_after,
     refresh,
     remember_rest,
@@ -87,7 +87,7 @@ def probabilities_of_links(edges: Edges, partner: IntArray, tails: IntArray, pro
 
 
 @compiled
-def window(chains: Chains, first: int, scene: Scene) -> tuple[int, int]:
+def window(chains: Chains, first: int, scene: SceneRow) -> tuple[int, int]:
     """First detection within the longest gap of a detection, and the first detection behind those."""
     now = chains.rows[first].t
     begin, behind = 0, first
@@ -108,7 +108,7 @@ def window(chains: Chains, first: int, scene: Scene) -> tuple[int, int]:
 
 
 @allocating
-def ends_at(chains: Chains, first: int, scene: Scene) -> tuple[IntArray, IntArray]:
+def ends_at(chains: Chains, first: int, scene: SceneRow) -> tuple[IntArray, IntArray]:
     """Return heads and tails within the longest gap of the tracks that are cut before ``first``."""
     begin, end = window(chains, first, scene)
     heads, tails, n, m = np.empty(first - begin, np.int64), np.empty(end - first, np.int64), 0, 0
@@ -125,7 +125,7 @@ def ends_at(chains: Chains, first: int, scene: Scene) -> tuple[IntArray, IntArra
 
 
 @allocating
-def spanning(chains: Chains, first: int, end: int, scene: Scene) -> tuple[IntArray, IntArray, IntArray]:
+def spanning(chains: Chains, first: int, end: int, scene: SceneRow) -> tuple[IntArray, IntArray, IntArray]:
     """Return head and tail (−1: none) of each track around the frame from ``first`` to ``end``, and its key.
 
     The key is the head, or the tail behind all detections.
@@ -150,7 +150,7 @@ def spanning(chains: Chains, first: int, end: int, scene: Scene) -> tuple[IntArr
 
 @compiled
 def link(
-    chains: Chains, heads: IntArray, tails: IntArray, partner: IntArray, scene: Scene, move: int
+    chains: Chains, heads: IntArray, tails: IntArray, partner: IntArray, scene: SceneRow, move: int
 ) -> bool:
     """Link heads to the tails at the places ``partner`` (heads,), −1: to none; return whether one changed."""
     changed = False
@@ -191,7 +191,7 @@ def insert(
     partner: IntArray,
     first: int,
     before: IntArray,
-    scene: Scene,
+    scene: SceneRow,
     move: int,
 ) -> bool:
     """Put the detections from ``first`` on into the tracks at ``partner``; return whether a link changed.
@@ -309,7 +309,7 @@ class Moves:
     worthless : gain, below that of the best, at which a candidate's probability is taken as 0
     """
 
-    def __init__(self, chains: Chains, packed: Scene, remembers: bool = False) -> None:
+    def __init__(self, chains: Chains, packed: SceneRow, remembers: bool = False) -> None:
         self.chains, self.packed, self.remembers = chains, packed, remembers
         self.link_p, self.worthless = np.ones(len(chains.t)), WORTHLESS
         self._move = 1

@@ -18,7 +18,7 @@ from graphtrack.cli.console import (
     save_figure,
     write_json,
 )
-from graphtrack.cli.simulate import Noise
+from graphtrack.cli.simulate import NoiseOptions
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
@@ -140,7 +140,7 @@ def named(methods: str | None) -> list[str]:
 def compare(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    noise: Noise,
+    noise: NoiseOptions,
     methods: str | None = None,
     model: str | None = None,
     trust: options.TrustNoise = None,

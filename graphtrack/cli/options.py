@@ -102,7 +102,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
 
 
 @dataclass(frozen=True)
-class Reading:
+class MetricReading:
     """Options of an input that is already in metres, by the names of `graphtrack.io.ReadOptions`.
 
     Reading the input
@@ -223,7 +223,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class CameraReading(Reading):
+class CameraReading(MetricReading):
     """Options of an input that may have to be mapped to the ground first.
 
     Reading the input

@@ -16,7 +16,7 @@ from graphtrack.tracks.display import counted
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseOptions:
     """Options of noise that is added to exact values.
 
     Noise
@@ -120,8 +120,8 @@ def simulate(
 def add_noise(
     inputs: options.Inputs,
     output: options.Output,
-    reading: options.Reading,
-    noise: Noise,
+    reading: options.MetricReading,
+    noise: NoiseOptions,
     every: float | None = None,
     missed: float = 0.0,
     occlude_share: float = 0.0,

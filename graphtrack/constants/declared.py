@@ -233,7 +233,7 @@ class ChannelNoise:
 
 
 @dataclass(frozen=True)
-class Noise:
+class DeclaredNoise:
     """Evidence about the declared noise of all channels that a model reads."""
 
     channels: tuple[ChannelNoise, ...]
@@ -285,7 +285,7 @@ def trusted(
     return *noise.corrected(tracks, model), [*notes, *noise.lines(corrected=True)]
 
 
-def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ()) -> Noise:
+def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ()) -> DeclaredNoise:
     """Test the noise that a file, or else the model, declares against the data.
 
     Multipliers maximise the one-step predictive likelihood, always on the same stretches. A bias is a common
@@ -312,4 +312,4 @@ def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ())
             column = "likelihood.pixel_std"
         multiplier = None if evidence is None else multiplier_of(evidence)
         found.append(ChannelNoise(name, multiplier, bias, column))
-    return Noise(tuple(found))
+    return DeclaredNoise(tuple(found))

@@ -402,7 +402,7 @@ def filter_angles(
                 state[candidate, 0], state[candidate, 1] = x, y
 
 
-class Rules(NamedTuple):
+class FilterRules(NamedTuple):
     """Candidates and priors of the filters of one person online.
 
     Attributes
@@ -448,7 +448,7 @@ class Filters(NamedTuple):
     means: FloatArray
 
     @classmethod
-    def of(cls, rules: Rules) -> tuple[Filters, FloatArray]:
+    def of(cls, rules: FilterRules) -> tuple[Filters, FloatArray]:
         """Return the filters of a person before an observation, and their memory, all numbers in a row."""
         q, d, c = len(rules.densities), len(rules.diffusions), len(rules.couplings)
         turns = (d, ROW_OF_ANGLE)
@@ -483,7 +483,7 @@ def mean_of(values: Any, shares: Any) -> float:
 
 
 @compiled
-def observe(filters: Filters, rules: Rules, row: Any, memory: Any) -> None:
+def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None:
     """Take an observation into the filters of a person.
 
     ``row`` (8,) is the time since the previous in seconds, x, y, variance, body, its κ, head, its κ; NaN or 0
@@ -561,7 +561,7 @@ REHEARSAL = Rehearsal("learned constants", _rehearse, 3.5)
 
 def _rehearse_online() -> None:
     one = np.ones(1)
-    rules = Rules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, 0.0)
+    rules = FilterRules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, 0.0)
     observe(Filters.of(rules)[0], rules, np.ones(8), np.zeros(1))
 
 

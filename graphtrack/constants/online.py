@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.constants.filters import ONLINE_REHEARSAL, Filters, Rules, angle_of_classes, observe
+from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, angle_of_classes, observe
 from graphtrack.constants.personal import (
     Constants,
     alternatives_of,
@@ -66,9 +66,9 @@ def _rules_of(
     alternatives: tuple[CouplingAlternative, ...],
     couplings: tuple[tuple[float, float], ...],
     prior: Population,
-) -> Rules:
+) -> FilterRules:
     """Return the rules of the filters; ``couplings``: κ₁ and κ₂ of each alternative."""
-    return Rules(
+    return FilterRules(
         DENSITIES,
         DIFFUSIONS,
         np.array(couplings),

@@ -33,7 +33,7 @@ from graphtrack.association.matching import match
 from graphtrack.errors import InputError
 from graphtrack.evaluation.matching import (
     EPSILON,
-    Detections,
+    IdentifiedRows,
     IntArray,
     SharedFrames,
     Similarity,
@@ -639,7 +639,7 @@ def _cell(value: float) -> str:
 METRES = 1.0
 """Default largest distance of a match in metres, as in MOTChallenge 3D."""
 
-Pair = tuple[str, Detections, Detections]
+Pair = tuple[str, IdentifiedRows, IdentifiedRows]
 """Name of a sequence, its estimates and its truth."""
 
 

@@ -23,7 +23,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Detections:
+class IdentifiedRows:
     """n rows with identities, sorted by frame and within a frame by identity.
 
     Attributes
@@ -42,14 +42,14 @@ class Detections:
         return len(self.track_id)
 
 
-def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> Detections:
-    """Return the rows with a finite position or box (n, k), in the order of `Detections`."""
+def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> IdentifiedRows:
+    """Return the rows with a finite position or box (n, k), in the order of `IdentifiedRows`."""
     order = np.lexsort((track_id, frame))
     order = order[np.isfinite(place[order]).all(axis=1)]
-    return Detections(track_id[order], frame[order], place[order], len(frame) - len(order))
+    return IdentifiedRows(track_id[order], frame[order], place[order], len(frame) - len(order))
 
 
-def true_detections(tracks: TrackSet) -> Detections:
+def true_detections(tracks: TrackSet) -> IdentifiedRows:
     """Return detections of the truth: its true positions if any are known, else its positions.
 
     Raises
@@ -65,7 +65,7 @@ def true_detections(tracks: TrackSet) -> Detections:
     return found
 
 
-def estimated_detections(tracks: TrackSet) -> Detections:
+def estimated_detections(tracks: TrackSet) -> IdentifiedRows:
     """Return detections of the estimates: their positions.
 
     Raises
@@ -77,7 +77,7 @@ def estimated_detections(tracks: TrackSet) -> Detections:
     return _detections(tracks, "position")
 
 
-def boxes(rows: Rows) -> Detections:
+def boxes(rows: Rows) -> IdentifiedRows:
     """Return the boxes of a file.
 
     Raises
@@ -91,7 +91,7 @@ def boxes(rows: Rows) -> Detections:
     return found
 
 
-def missing_in_words(truth: Detections, estimates: Detections) -> tuple[str, ...]:
+def missing_in_words(truth: IdentifiedRows, estimates: IdentifiedRows) -> tuple[str, ...]:
     """Describe the numbers of omitted rows."""
     both = (("truth", truth), ("estimates", estimates))
     return tuple(
@@ -110,10 +110,10 @@ def _require_ground(tracks: TrackSet, side: str) -> None:
         )
 
 
-def _detections(tracks: TrackSet, channel: str) -> Detections:
+def _detections(tracks: TrackSet, channel: str) -> IdentifiedRows:
     if not len(tracks):
         none = np.empty(0, dtype=np.int64)
-        return Detections(none, none, np.empty((0, 2)))
+        return IdentifiedRows(none, none, np.empty((0, 2)))
     return known_detections(
         np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]),
         np.concatenate([track.frame for track in tracks]),
@@ -214,14 +214,14 @@ def nearest_times(t: FloatArray, times: FloatArray, tolerance: float) -> tuple[I
 Pairs = tuple[IntArray, IntArray, FloatArray]
 """Rows of the truth (p,) and of the estimates (p,) in the same frame, and their similarities, above 0."""
 
-Similarity = Callable[["Detections", "Detections"], Pairs]
+Similarity = Callable[["IdentifiedRows", "IdentifiedRows"], Pairs]
 """Pairs of truth and estimates that are similar, in the order of the rows."""
 
 EPSILON = float(np.finfo(float).eps)
 """Rounding tolerance of similarities and sums."""
 
 
-def ground_similarity(truth: Detections, estimates: Detections, zero_distance: float) -> Pairs:
+def ground_similarity(truth: IdentifiedRows, estimates: IdentifiedRows, zero_distance: float) -> Pairs:
     """max(0, 1 − d / zero_distance) of positions in metres.
 
     As in MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 means 1 m.
@@ -231,7 +231,7 @@ def ground_similarity(truth: Detections, estimates: Detections, zero_distance: f
     return _similar(i, j, 1.0 - distance / zero_distance)
 
 
-def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
+def box_similarity(truth: IdentifiedRows, estimates: IdentifiedRows) -> Pairs:
     """Intersection over union of boxes, left, top, width and height in pixels."""
     # Boxes overlap if their centres are less than a box apart along both axes.
     largest = np.max([side.place[:, 2:].max(axis=0, initial=1.0) for side in (truth, estimates)], axis=0)
@@ -247,7 +247,7 @@ def box_similarity(truth: Detections, estimates: Detections) -> Pairs:
 
 
 def _near_pairs(
-    truth: Detections, estimates: Detections, first: FloatArray, second: FloatArray, norm: float
+    truth: IdentifiedRows, estimates: IdentifiedRows, first: FloatArray, second: FloatArray, norm: float
 ) -> tuple[IntArray, IntArray]:
     """Return rows of the same frame whose points (n, 2) and (m, 2) are at most 1 apart in a norm."""
     if not len(truth) or not len(estimates):
@@ -330,7 +330,7 @@ class Summed:
 
 
 def share_frames(
-    truth: Detections, estimates: Detections, similarity: Similarity, name: str = ""
+    truth: IdentifiedRows, estimates: IdentifiedRows, similarity: Similarity, name: str = ""
 ) -> SharedFrames:
     """Align truth and estimates by frame number.
 
@@ -370,5 +370,5 @@ def share_frames(
     )
 
 
-def _span(detections: Detections) -> str:
+def _span(detections: IdentifiedRows) -> str:
     return f"frames {detections.frame[0]} to {detections.frame[-1]}"

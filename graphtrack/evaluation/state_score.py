@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.identities import hota_matches, identity_pairs, similarity_of, threshold_of
-from graphtrack.evaluation.matching import Detections, nearest_times, share_frames
+from graphtrack.evaluation.matching import IdentifiedRows, nearest_times, share_frames
 from graphtrack.evaluation.metrics import (
     DEGREES,
     TrackCalibration,
@@ -212,7 +212,7 @@ def _matched_rows(estimates: TrackSet, truth: list[Track], threshold: Threshold)
 
 def _at_instants(
     tracks: list[Track], channel: str, times: FloatArray, tolerance: float
-) -> tuple[Detections, IntArray]:
+) -> tuple[IdentifiedRows, IntArray]:
     """Return rows at known times as detections, and their rows (n,) in the tracks.
 
     ``track_id`` is the index of the track, and ``frame`` that of the nearest of ``times`` (f,), at most
@@ -220,7 +220,7 @@ def _at_instants(
     """
     if not tracks:
         none = np.empty(0, dtype=np.int64)
-        return Detections(none, none, np.empty((0, 2))), none
+        return IdentifiedRows(none, none, np.empty((0, 2))), none
     lengths = [len(track) for track in tracks]
     index = np.repeat(np.arange(len(tracks)), lengths)
     row = np.concatenate([np.arange(length) for length in lengths])
@@ -229,7 +229,7 @@ def _at_instants(
     index, row, place = index[here], row[here], place[here]
     order = np.lexsort((index, instant))
     order = order[np.isfinite(place[order]).all(axis=1)]
-    return Detections(index[order], instant[order], place[order]), row[order]
+    return IdentifiedRows(index[order], instant[order], place[order]), row[order]
 
 
 def _errors(truth: Track, pieces: list[_Piece]) -> PersonErrors | None:

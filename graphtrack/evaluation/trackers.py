@@ -32,7 +32,7 @@ from graphtrack.inference.engines import Solution
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file, rows_of_file
 from graphtrack.model import Model
-from graphtrack.simulation.crowd import Place, crowd
+from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.detector import Detector, detect
 from graphtrack.smoothing import OnlineTracker, solve
 from graphtrack.tracks.detections import Detections, with_those_between
@@ -162,10 +162,10 @@ def track_boxes(
 Parameters = TypeVar("Parameters")
 
 CROWDS = (
-    Place(),
-    Place(arrivals=0.25, stops=0.3),
-    Place(width=20.0, depth=10.0, arrivals=0.8, pairs=0.5),
-    Place(speed=1.0, velocity_std=0.25, stops=0.3),
+    CrossedArea(),
+    CrossedArea(arrivals=0.25, stops=0.3),
+    CrossedArea(width=20.0, depth=10.0, arrivals=0.8, pairs=0.5),
+    CrossedArea(speed=1.0, velocity_std=0.25, stops=0.3),
 )
 """Scenes of the crowds of `synthetic_scenes`."""
 
@@ -195,14 +195,14 @@ GRIDS["ocsort"] = GRIDS["bytetrack"]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class DetectedScene:
     """Detections without identities, and true positions."""
 
     detections: Detections
     truth: TrackSet
 
 
-def synthetic_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ...]:
+def synthetic_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[DetectedScene, ...]:
     """Simulate a crowd in each of `CROWDS` at 2.5 Hz, detected with a noise of 0.1 m and `FAULTS`."""
     scenes = []
     for k, place in enumerate(CROWDS):
@@ -210,7 +210,7 @@ def synthetic_scenes(seed: int = 0, *, seconds: float = 90.0) -> tuple[Scene, ..
         found = detect(crowd(rng, place=place, seconds=seconds), FAULTS, position_std=0.1, rng=rng)
         table = found.anonymous(rng)
         position = np.column_stack([table["x"], table["y"]])
-        scenes.append(Scene(Detections(table["frame"], table["t"], position), found.truth))
+        scenes.append(DetectedScene(Detections(table["frame"], table["t"], position), found.truth))
     return tuple(scenes)
 
 
@@ -219,7 +219,7 @@ def worth(score: SequenceScore) -> float:
     return (score.hota + score.idf1 + score.mota) / 3.0
 
 
-def judged(track: Callable[[Detections], TrackSet], scenes: Sequence[Scene]) -> SequenceScore:
+def judged(track: Callable[[Detections], TrackSet], scenes: Sequence[DetectedScene]) -> SequenceScore:
     """Return the metrics of a tracker on all scenes together, within 1 m."""
     pairs = (
         (str(k), estimated_detections(track(scene.detections)), true_detections(scene.truth))

@@ -54,7 +54,7 @@ GROWTH, OFFSET = 1.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class WeightData:
     """Tracks to fit on and others to judge on.
 
     Attributes
@@ -84,7 +84,7 @@ class Found:
     nats: FloatArray
 
 
-def sources(settings: Settings) -> list[Source]:
+def sources(settings: Settings) -> list[WeightData]:
     """The corpus at two detection rates and, where it is there, motion capture."""
     found, count = [], settings.few(6)
     for share in (1.0, 0.6):
@@ -97,7 +97,7 @@ def sources(settings: Settings) -> list[Source]:
                 for b in range(len(NUMERALS))
             ]
             parts.append([track for corpus in corpora for track in corpus.tracks()])
-        found.append(Source(f"corpus, {share:.0%} detected", 2.5, *parts))
+        found.append(WeightData(f"corpus, {share:.0%} detected", 2.5, *parts))
     clips = settings.tracks(*MOCAP)
     if clips is None:
         return found
@@ -105,7 +105,7 @@ def sources(settings: Settings) -> list[Source]:
         chosen = evenly(clips.select(*patterns).map(thinned), settings.few(80, 6), 2.5)
         noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
         rare = [_thinned(track) for track in noisy]
-        found.append(Source(name, 1.0, rare[::2], rare[1::2]))
+        found.append(WeightData(name, 1.0, rare[::2], rare[1::2]))
     return found
 
 
@@ -148,7 +148,7 @@ def graph_nats(
     return np.array(found)
 
 
-def fitted(source: Source, method: str, evaluations: int, progress: Progress) -> dict[str, Found]:
+def fitted(source: WeightData, method: str, evaluations: int, progress: Progress) -> dict[str, Found]:
     """A constant rate and rates that grow and fall with the deviation, each as likely as it can be on the
     source's tracks to fit on.
 
@@ -184,7 +184,7 @@ def fitted(source: Source, method: str, evaluations: int, progress: Progress) ->
     return found
 
 
-def _rate(source: Source, sign: float, values: Sequence[float]) -> GrowingRate:
+def _rate(source: WeightData, sign: float, values: Sequence[float]) -> GrowingRate:
     rate, *shape = values
     growth, offset = shape or (0.0, 0.0)
     return GrowingRate(rate, sign * growth, offset, source.seconds)

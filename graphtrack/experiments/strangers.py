@@ -28,7 +28,7 @@ from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
 from graphtrack.io.groups import UNLABELLED, read_groups
 from graphtrack.model import Model
-from graphtrack.simulation.crowd import Place, crowd
+from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.scenario import party
 from graphtrack.smoothing import smooth
@@ -77,7 +77,7 @@ def independent_walkers(
     stops : share of the people who stop once, for 4 s on average
     """
     crossing = 0.75 * side / 1.3 + stops * _STOP_SECONDS
-    place = Place(side, side, PEOPLE / crossing, pairs=0.0, stops=stops, stop_seconds=_STOP_SECONDS)
+    place = CrossedArea(side, side, PEOPLE / crossing, pairs=0.0, stops=stops, stop_seconds=_STOP_SECONDS)
     people = crowd(rng, place=place, seconds=seconds, fps=_FPS)
     return people.with_tracks(_faced(track, rng) for track in people if len(track) > 1)
 

@@ -79,7 +79,7 @@ _HABIT_PRIOR = 2.0  # prior weight of a scene's hypotheses, in people
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionMixture:
     """Positions and velocities of n people, mixed over all hypotheses."""
 
     position: ComplexArray  # (n,) m
@@ -173,7 +173,7 @@ class MotionFilters(Saved):
         total: FloatArray = weights / weights.sum(axis=1, keepdims=True)
         return total
 
-    def motion(self, at: NDArray[np.int64], ahead: FloatArray) -> Motion:
+    def motion(self, at: NDArray[np.int64], ahead: FloatArray) -> MotionMixture:
         """Predict the people of the slots ``at`` to this many seconds (n,) after their last observation."""
         weights, step = self._weights(at), ahead[:, None]
         velocities = self._velocity[at]
@@ -187,4 +187,4 @@ class MotionFilters(Saved):
             speed + np.abs(drift) ** 2 / 2,
         )
         variance = np.stack([(weights * part).sum(axis=1) for part in between], axis=1)
-        return Motion(position, velocity, variance)
+        return MotionMixture(position, velocity, variance)

@@ -30,7 +30,7 @@ from graphtrack.tracks.validation import with_clipped
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class ForecastScene:
     """Scene with the outcomes of its people."""
 
     frames: tuple[PeopleOfFrame, ...]  # observed people of each frame
@@ -39,7 +39,7 @@ class Recording:
     straight: tuple[ComplexArray, ...]  # constant-velocity predictions from the last step
 
 
-def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recording:
+def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> ForecastScene:
     """Return the training data; ``times`` (G,) ahead."""
     times_of = {one.track_id: one.t for one in tracks}
     around = np.concatenate([[-EVERY, 0.0], times])
@@ -54,11 +54,11 @@ def recording(tracks: TrackSet | list[Track], times: FloatArray = LAGS) -> Recor
         frames.append(observed)
         actual.append(found[:, 2:])
         straight.append(found[:, 1:2] + (found[:, 1:2] - found[:, :1]) * times / EVERY)
-    return Recording(tuple(frames), tuple(actual), tuple(straight))
+    return ForecastScene(tuple(frames), tuple(actual), tuple(straight))
 
 
 def forecasts(
-    of: Recording, parameters: ForecastParameters, history: float = 2.0 * EVERY
+    of: ForecastScene, parameters: ForecastParameters, history: float = 2.0 * EVERY
 ) -> Iterator[tuple[Forecaster, NDArray[np.int64], ComplexArray, ComplexArray]]:
     """Yield every `EVERY` seconds a forecaster, the people with enough history, and their outcomes."""
     forecaster, last = Forecaster(parameters), -np.inf
@@ -150,7 +150,7 @@ class ForecastFit:
         return asdict(self)
 
 
-def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
+def outcomes(of: ForecastScene, parameters: ForecastParameters) -> Outcomes:
     """Return forecasts of a recording every `EVERY` seconds, with their outcomes.
 
     Raise InputError if no person was observed for long enough after a forecast.
@@ -170,7 +170,7 @@ def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
     return _some(Outcomes(joined, error, straight), chosen)
 
 
-def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
+def calibration_error(of: ForecastScene, parameters: ForecastParameters) -> float:
     """Return the mean difference, over times ahead, of observed and nominal coverage.
 
     For people with enough history for the calibration: see `Calibration`.
@@ -290,7 +290,7 @@ def _fit_spread(found: Sequence[Outcomes], start: ForecastParameters) -> Forecas
 
 
 def _fit_scene_prior(
-    recordings: Mapping[str, Recording],
+    recordings: Mapping[str, ForecastScene],
     found: Mapping[str, Outcomes],
     start: ForecastParameters,
     progress: Callable[[str], None],
@@ -327,7 +327,7 @@ class Heads:
         return float(np.abs(self.moved - going).mean())
 
 
-def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:
+def heads_of(of: ForecastScene, parameters: ForecastParameters) -> Heads | None:
     """Return the training data of heads, or None; people need not have been there together."""
     parameters = replace(parameters, companion_weight=0.0)
     parts: list[tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]] = []

@@ -91,7 +91,7 @@ class Ellipse(NamedTuple):
     angle: FloatArray
 
 
-class Band(NamedTuple):
+class BandPiece(NamedTuple):
     """One unbroken piece of a band: times (seconds) and its lower and upper edge (radians), each (m,)."""
 
     t: FloatArray
@@ -179,7 +179,7 @@ def break_at_seam(t: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatAr
     return np.insert(t, where, new_t), np.insert(angle, where, new_angle)
 
 
-def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> list[Band]:
+def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> list[BandPiece]:
     """Return the band ``angle ± half_width`` on the circle, as pieces within [−π, π].
 
     A band that crosses one edge continues at the other. Half-widths are limited to π, the whole circle.
@@ -202,7 +202,7 @@ def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> lis
             # One sample more on each side closes the piece at the edge it leaves through.
             inside = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
             pieces += [
-                Band(t[run][part], shifted_lower[part], shifted_upper[part])
+                BandPiece(t[run][part], shifted_lower[part], shifted_upper[part])
                 for part in finite_runs(inside)
                 if part.stop - part.start > 1
             ]

@@ -18,9 +18,9 @@ from graphtrack.constants.commons import commons_of
 from graphtrack.constants.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
-from graphtrack.io.formats.ros_bag import IDS, SECOND, Frame, frame_of, sightings_of
-from graphtrack.io.formats.ros_reading import TOGETHER, Ground, Humans, Transforms, same_people
-from graphtrack.io.formats.ros_writing import Person
+from graphtrack.io.formats.ros_bag import IDS, SECOND, PeopleMessage, frame_of, sightings_of
+from graphtrack.io.formats.ros_reading import TOGETHER, GroundFrame, Humans, Transforms, same_people
+from graphtrack.io.formats.ros_writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.smoothing import OnlineTracker
@@ -78,7 +78,7 @@ class SceneEstimate:
 
     stamp: int
     frame_id: str
-    people: list[Person]
+    people: list[PersonMessage]
     groups: dict[str, list[str]]
     gazes: list[tuple[str, str]]
 
@@ -203,7 +203,7 @@ class Live:
         self._longest_back = max(_JUMP, round(lag * SECOND)) if math.isfinite(lag) else _JUMP
         self.transforms = Transforms()
         humans = Humans("person", {}) if kind == IDS else None
-        self._ground = Ground(fixed_frame or None, self.transforms, humans, has_transforms=False)
+        self._ground = GroundFrame(fixed_frame or None, self.transforms, humans, has_transforms=False)
         self._behaves = behaviour
         self._warn = warn
         self.dropped = Counter[str]()
@@ -268,7 +268,7 @@ class Live:
             return self._estimated(frame.stamp, frame.frame_id, {})
         return self._take_nameless(frame, observations)
 
-    def _observed(self, frame: Frame) -> tuple[list[str], list[Observation]]:
+    def _observed(self, frame: PeopleMessage) -> tuple[list[str], list[Observation]]:
         """Return names and observations of the people with a position on the ground."""
         sightings = sightings_of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
@@ -285,7 +285,7 @@ class Live:
     def _seconds(self, stamp: int) -> float:
         return (stamp - self._origin) / SECOND
 
-    def _take_nameless(self, frame: Frame, observations: list[Observation]) -> SceneEstimate | None:
+    def _take_nameless(self, frame: PeopleMessage, observations: list[Observation]) -> SceneEstimate | None:
         """Process detections that a tracker associates."""
         if not self._frames.add(frame.stamp, observations):
             self._drop(_NOT_HELD)
@@ -303,7 +303,7 @@ class Live:
         return found
 
     def _take_named(
-        self, frame: Frame, names: list[str], observations: list[Observation]
+        self, frame: PeopleMessage, names: list[str], observations: list[Observation]
     ) -> SceneEstimate | None:
         """Process people with names; each is followed by itself."""
         assert self._last is not None
@@ -399,12 +399,12 @@ def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observatio
     return [observation_at(k, t, 0, channels) for k in range(len(channels["position"]))]
 
 
-def _people(found: _Found) -> list[Person]:
+def _people(found: _Found) -> list[PersonMessage]:
     people = []
     for number, (name, one, score) in sorted(found.items()):
         if np.isfinite(one.position).all():
             cov = one.covariance
             spread = (cov[0, 0], cov[0, 1], cov[1, 1], cov[4, 4], cov[5, 5])
             state = np.array([*one.position, *one.velocity, one.body, one.head, *spread, score], dtype=float)
-            people.append(Person(name, name, number, *state.tolist()))
+            people.append(PersonMessage(name, name, number, *state.tolist()))
     return people

@@ -25,7 +25,7 @@ _SHORTEST = 4.0  # metres between the ends of a walk
 
 
 @dataclass(frozen=True)
-class Place:
+class CrossedArea:
     """Area that people cross.
 
     Attributes
@@ -61,7 +61,7 @@ class Place:
 
 
 def crowd(
-    rng: np.random.Generator, *, place: Place = Place(), seconds: float = 120.0, fps: float = 2.5
+    rng: np.random.Generator, *, place: CrossedArea = CrossedArea(), seconds: float = 120.0, fps: float = 2.5
 ) -> TrackSet:
     """Simulate people who walk from one edge of an area to another, without noise.
 
@@ -86,7 +86,7 @@ def crowd(
     return TrackSet(tuple(tracks))
 
 
-def _edge(rng: np.random.Generator, place: Place, side: int) -> FloatArray:
+def _edge(rng: np.random.Generator, place: CrossedArea, side: int) -> FloatArray:
     half = 0.5 * np.array([place.width, place.depth])
     point = rng.uniform(-half, half)
     axis, sign = side % 2, 1.0 if side < 2 else -1.0
@@ -94,7 +94,7 @@ def _edge(rng: np.random.Generator, place: Place, side: int) -> FloatArray:
     return point
 
 
-def _walk(rng: np.random.Generator, place: Place) -> FloatArray:
+def _walk(rng: np.random.Generator, place: CrossedArea) -> FloatArray:
     """Return positions (n, 2) every `_GRID` seconds from one edge to another."""
     first, second = rng.permutation(4)[:2].tolist()
     position = goal = _edge(rng, place, first)
@@ -118,7 +118,7 @@ def _walk(rng: np.random.Generator, place: Place) -> FloatArray:
     return np.array(path)
 
 
-def _companion(rng: np.random.Generator, walk: FloatArray, place: Place) -> FloatArray:
+def _companion(rng: np.random.Generator, walk: FloatArray, place: CrossedArea) -> FloatArray:
     along = walk[-1] - walk[0]
     aside = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     keep = np.exp(-_GRID / 3.0)

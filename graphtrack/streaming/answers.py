@@ -417,7 +417,7 @@ MOST_DETECTIONS = 10_000
 """Largest number of detections in a frame."""
 
 
-class Frame(Saved):
+class DetectionStream(Saved):
     """A stream: its tracker, its groups and attention, its clock, and the current frame.
 
     Attributes
@@ -576,9 +576,9 @@ class Scenes(Answering):
         frame.observations.append(one)
         return rows + self._forget_streams(frame)
 
-    def _known(self, name: Name) -> Frame:
+    def _known(self, name: Name) -> DetectionStream:
         """Return a stream, which is new if it is none of the members."""
-        frame: Frame | None = self.members.get(name)
+        frame: DetectionStream | None = self.members.get(name)
         if frame is not None:
             return frame
         if len(self.members) >= self._bounds.streams:
@@ -588,19 +588,21 @@ class Scenes(Answering):
             raise InputError(f"one more than {self._bounds.streams} streams", hint, column="stream")
         return self._begin(1 + self._newest.numbered if self.members else 1)
 
-    def _begin(self, first: int) -> Frame:
+    def _begin(self, first: int) -> DetectionStream:
         """Return a new stream with track ids from ``first`` on."""
         tracker = self._make()
         tracker.number_from(first)
-        return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked), self._bounds.jump)
+        return DetectionStream(
+            tracker, None if self._asked is None else SceneBehaviour(self._asked), self._bounds.jump
+        )
 
     @property
-    def _newest(self) -> Frame:
+    def _newest(self) -> DetectionStream:
         """The stream of the last row."""
-        newest: Frame = next(reversed(self.members.values()))
+        newest: DetectionStream = next(reversed(self.members.values()))
         return newest
 
-    def _see(self, name: Name, frame: Frame, t: float | None) -> None:
+    def _see(self, name: Name, frame: DetectionStream, t: float | None) -> None:
         """Move a stream with a row to the end of the members; the row's time, if it counts, elapses."""
         elapsed, numbered = (self._newest.elapsed, self._newest.numbered) if self.members else (0.0, 0)
         is_new = self.members.pop(name, None) is None
@@ -611,7 +613,7 @@ class Scenes(Answering):
             elapsed = max(elapsed, t + frame.offset)
         frame.elapsed, frame.numbered = elapsed, numbered
 
-    def _confirm(self, name: Name, frame: Frame) -> list[dict[str, Any]]:
+    def _confirm(self, name: Name, frame: DetectionStream) -> list[dict[str, Any]]:
         """End the current frame and the frame whose time is confirmed; an earlier time is a new beginning."""
         rows = self._flush(name)
         note, is_earlier, waiting = frame.clock.confirm()
@@ -623,7 +625,7 @@ class Scenes(Answering):
         frame.t = last.t
         return rows + self._flush(name)
 
-    def _forget_streams(self, newest: Frame) -> list[dict[str, Any]]:
+    def _forget_streams(self, newest: DetectionStream) -> list[dict[str, Any]]:
         """Drop the streams without a row for long; return the answers to their last frames."""
         rows: list[dict[str, Any]] = []
         longest = self._bounds.forget_after + TIME_TOLERANCE
@@ -636,7 +638,7 @@ class Scenes(Answering):
         return rows
 
     @staticmethod
-    def _is_after(frame: Frame, t: float) -> bool:
+    def _is_after(frame: DetectionStream, t: float) -> bool:
         """Return True if a time (seconds) is after the current frame."""
         return frame.t is not None and t > frame.t + TIME_TOLERANCE
 

@@ -38,8 +38,8 @@ from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     FRAMES,
     Asked,
+    DetectionStream,
     EndedFrames,
-    Frame,
     SceneBehaviour,
     Scenes,
     StreamBounds,
@@ -163,10 +163,10 @@ class Answers:
             unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
         )
 
-    def restored_scene(self, key: Any, saved: Any) -> Frame:
+    def restored_scene(self, key: Any, saved: Any) -> DetectionStream:
         """Restore a member of `scenes` from its state."""
         tracker = OnlineTracker(self.model, **self._options)
-        return Frame.from_state(saved, tracker, self._behaviour(), self._bounds.jump)
+        return DetectionStream.from_state(saved, tracker, self._behaviour(), self._bounds.jump)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that the answers depend on, as JSON-able data."""

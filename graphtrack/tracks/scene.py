@@ -78,7 +78,7 @@ class SceneParameters:
         )
 
     def packed(self, frame_seconds: float) -> tuple[float, ...]:
-        """Return the values for kernels, in the order of `likelihood.Scene`, for a frame interval (s)."""
+        """Return the values for kernels, in the order of `likelihood.SceneRow`, for a frame interval (s)."""
         return (
             self.acceleration_density,
             self.speed_std**2,

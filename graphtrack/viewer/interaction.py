@@ -14,7 +14,7 @@ from graphtrack.report.style import group_colour
 from graphtrack.tracks.display import rgb
 from graphtrack.viewer.layout import Extent
 from graphtrack.viewer.people import CIRCLE, GROUND, PEOPLE
-from graphtrack.viewer.recording import IntArray, Recording
+from graphtrack.viewer.recording import IntArray, LoggedEntities
 
 GROUPS: Final = "ground/groups"
 CENTRES: Final = "ground/groups/centres"
@@ -25,13 +25,13 @@ Place = Callable[[int, float], FloatArray | None]
 _LINE, _DOT = -1.0, -3.0
 
 
-def arrange_groups(to: Recording) -> None:
+def arrange_groups(to: LoggedEntities) -> None:
     """Log the style of groups."""
     to.static(GROUPS, to.rr.LineStrips2D.from_fields(radii=[_LINE]))
     to.static(CENTRES, to.rr.Points2D.from_fields(radii=[_DOT], show_labels=True))
 
 
-def show_groups(to: Recording, groups: Groups, place: Place) -> None:
+def show_groups(to: LoggedEntities, groups: Groups, place: Place) -> None:
     """Draw groups: a line from the centre to each member, labelled with kind and probability.
 
     Parameters
@@ -70,7 +70,7 @@ def show_groups(to: Recording, groups: Groups, place: Place) -> None:
     to.rows(CENTRES, *at, points.partition(sizes[1]))
 
 
-def show_forecasts(to: Recording, columns: Mapping[str, NDArray[np.generic]], place: Place) -> None:
+def show_forecasts(to: LoggedEntities, columns: Mapping[str, NDArray[np.generic]], place: Place) -> None:
     """Draw forecasts: the predicted path, and at its end the 90 % circle.
 
     Parameters
@@ -90,7 +90,7 @@ def show_forecasts(to: Recording, columns: Mapping[str, NDArray[np.generic]], pl
 
 
 def _of_person(
-    to: Recording,
+    to: LoggedEntities,
     person: int,
     t: FloatArray,
     frame: IntArray,
@@ -110,7 +110,7 @@ def _of_person(
     to.rows(f"{PEOPLE}/{person}/forecast", t[first], frame[first], columns)
 
 
-def show_ground(to: Recording, extent: Extent) -> None:
+def show_ground(to: LoggedEntities, extent: Extent) -> None:
     """Draw the ground: x to the right, y up, and lines each metre, each ten, and so on, at most twenty."""
     spacing = 10.0 ** np.ceil(np.log10(max(extent.size, 1.0) / 20.0))
     (left, bottom), (right, top) = (

@@ -16,8 +16,8 @@ from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.tracks.track import STATE, Track
 from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
-from graphtrack.viewer.people import ShownPeople
-from graphtrack.viewer.recording import CLOCK_TIMES, Recording, Target, recording
+from graphtrack.viewer.people import LoggedPeople
+from graphtrack.viewer.recording import CLOCK_TIMES, LoggedEntities, Target, recording
 
 Row = dict[str, Any]
 
@@ -45,8 +45,8 @@ class LiveView:
     def __init__(self, target: Target, person: int | None = None) -> None:
         self._target, self._person = target, person
         self._stack = ExitStack()
-        self._to: Recording | None = None
-        self._people: ShownPeople
+        self._to: LoggedEntities | None = None
+        self._people: LoggedPeople
         self._extent: Extent | None = None
         self._stream: Any = None
         self._reported: OrderedDict[float, dict[int, Row]] = OrderedDict()
@@ -95,7 +95,7 @@ class LiveView:
         self._extent = Extent.of(_positions(known)).around(Extent.of(np.zeros((0, 2))), 0.0)
         arranged = layout(self._extent, self._person, live=True)
         self._to = self._stack.enter_context(recording(self._target, arranged, clock=clock, complete=False))
-        self._people = ShownPeople(
+        self._people = LoggedPeople(
             self._to, self._extent.size, series=[] if self._person is None else [self._person]
         )
         show_ground(self._to, self._extent)

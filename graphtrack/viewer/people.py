@@ -14,7 +14,7 @@ from graphtrack.report.lives import finite_rows, observed_angle
 from graphtrack.report.style import ANGLE_COLOURS, NORMAL_95, longest_step, probability_ellipse
 from graphtrack.tracks.display import VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.tracks.track import Track
-from graphtrack.viewer.recording import IntArray, Recording
+from graphtrack.viewer.recording import IntArray, LoggedEntities
 
 GROUND: Final = "ground"
 PEOPLE: Final = "ground/people"
@@ -44,7 +44,7 @@ class _Known:
     angles: dict[str, float] = field(default_factory=dict)
 
 
-class ShownPeople:
+class LoggedPeople:
     """All shown people.
 
     Parameters
@@ -57,7 +57,7 @@ class ShownPeople:
 
     def __init__(
         self,
-        recording: Recording,
+        recording: LoggedEntities,
         size: float,
         names: Mapping[int, str] | None = None,
         series: Collection[int] | None = None,

@@ -19,7 +19,7 @@ from graphtrack.io.read_write import boxes_of_file, read_identified
 from graphtrack.tracks.display import person_colour, rgb
 from graphtrack.tracks.track import TrackSet
 from graphtrack.viewer.layout import VIDEO
-from graphtrack.viewer.recording import IntArray, Recording
+from graphtrack.viewer.recording import IntArray, LoggedEntities
 
 READERS: Final = "graphtrack.frames"
 """Entry points of packages, such as ``perception``, that read videos and folders of images."""
@@ -95,7 +95,7 @@ def open_frames(path: Path) -> Frames:
     raise InputError("no reader of videos", "the full package installed, with perception", path=path)
 
 
-def show_frames(to: Recording, frames: Frames, times: FrameTimes) -> int:
+def show_frames(to: LoggedEntities, frames: Frames, times: FrameTimes) -> int:
     """Show the frames that lie between the first and the last of the tracks, as JPEG; return their number.
 
     One frame at a time is in memory.
@@ -131,7 +131,7 @@ def small(image: Image) -> tuple[Image, float]:
     ]
 
 
-def show_boxes(to: Recording, boxes: PersonBoxes, times: FrameTimes, shown: Iterable[int]) -> None:
+def show_boxes(to: LoggedEntities, boxes: PersonBoxes, times: FrameTimes, shown: Iterable[int]) -> None:
     """Show people's boxes in the frames that lie between the first and the last of the tracks.
 
     Parameters

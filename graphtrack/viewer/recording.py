@@ -84,7 +84,7 @@ class Target:
             raise InputError("no display", "a file to write (--save run.rrd), or a viewer (--connect URL)")
 
 
-class Recording:
+class LoggedEntities:
     """Entities of a recording, as columns with times.
 
     Parameters
@@ -147,7 +147,7 @@ class Recording:
 @contextmanager
 def recording(
     target: Target, layout: Any, *, clock: bool = False, complete: bool = True
-) -> Iterator[Recording]:
+) -> Iterator[LoggedEntities]:
     """A recording that goes to its target, complete at the end.
 
     Parameters
@@ -168,7 +168,7 @@ def recording(
         ):
             yield made
         return
-    made = Recording(clock=clock)
+    made = LoggedEntities(clock=clock)
     stream, options = made.stream, {"default_blueprint": layout}
     if target.save is not None:
         _or_error(target, lambda: stream.save(target.save, **options))

@@ -16,7 +16,7 @@ from graphtrack.report.lives import finite_rows, observed_angle
 from graphtrack.tracks.track import TrackSet
 from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
-from graphtrack.viewer.people import ShownPeople
+from graphtrack.viewer.people import LoggedPeople
 from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, open_frames, show_boxes, show_frames
 from graphtrack.viewer.recording import CLOCK_TIMES, Target, recording
 
@@ -79,7 +79,7 @@ def view(
     arranged = layout(where, chosen, series=_series(tracks, chosen), video=bool(frames or boxes))
     with recording(target, arranged, clock=clock) as made:
         show_ground(made, where)
-        people = ShownPeople(made, where.size, _names(tracks))
+        people = LoggedPeople(made, where.size, _names(tracks))
         for track in placed:
             people.add(track)
         people.leave(end)

@@ -247,7 +247,7 @@ _CELL = 8  # pixels of a cell of gradients
 
 
 @dataclass(frozen=True)
-class View:
+class ModelInput:
     """Window and size of a model's input.
 
     Attributes
@@ -302,8 +302,8 @@ class View:
         return np.flatnonzero(place == image), one, image[one]
 
 
-BODY = View((-0.25, -0.11, 0.5, 1.04), (48, 96))
-HEAD = View((-0.18, -0.14, 0.36, 0.36), (64, 64))
+BODY = ModelInput((-0.25, -0.11, 0.5, 1.04), (48, 96))
+HEAD = ModelInput((-0.18, -0.14, 0.36, 0.36), (64, 64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,8 +377,11 @@ def fit_directions(
     """
     label = CLASSES.index(angle)
     parts = np.unique(fold).tolist()
-    sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
-    everybody = reduce(Sums.__add__, sums)
+    sums = [
+        DiscriminantStatistics.of(features[fold == k], sign, label[fold == k], person[fold == k])
+        for k in parts
+    ]
+    everybody = reduce(DiscriminantStatistics.__add__, sums)
     scores = np.zeros((len(_SHRINKAGES), len(label), len(CLASSES)))
     for k, of_part in zip(parts, sums, strict=True):
         rest = everybody - of_part
@@ -412,7 +415,7 @@ def _honest(
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
+class DiscriminantStatistics:
     """Sufficient statistics of a linear discriminant; people are held out by subtraction.
 
     Mirror images are included, so that features of different `View.sign` are uncorrelated.
@@ -435,7 +438,7 @@ class Sums:
         sign: NDArray[np.float32],
         label: NDArray[np.int64],
         person: NDArray[np.int64],
-    ) -> Sums:
+    ) -> DiscriminantStatistics:
         """Return the sums of n crops, with less weight per crop for people with many crops."""
         _, place, count = np.unique(person, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(count[place])
@@ -450,13 +453,13 @@ class Sums:
         even, odd = (2.0 * (features[:, part].T @ weighted[:, part]).astype(float) for part in parts)
         return cls(of_class, total, (even, odd))
 
-    def __add__(self, other: Sums) -> Sums:
+    def __add__(self, other: DiscriminantStatistics) -> DiscriminantStatistics:
         even, odd = (a + b for a, b in zip(self.squares, other.squares, strict=True))
-        return Sums(self.weight + other.weight, self.total + other.total, (even, odd))
+        return DiscriminantStatistics(self.weight + other.weight, self.total + other.total, (even, odd))
 
-    def __sub__(self, other: Sums) -> Sums:
+    def __sub__(self, other: DiscriminantStatistics) -> DiscriminantStatistics:
         even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
-        return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
+        return DiscriminantStatistics(self.weight - other.weight, self.total - other.total, (even, odd))
 
     def discriminant(
         self, sign: NDArray[np.float32], shrinkage: float

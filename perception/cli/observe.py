@@ -43,7 +43,7 @@ from perception.cli.searching import (
 from perception.storage import key_of
 
 if TYPE_CHECKING:
-    from perception.detection.boxes import Detections, PersonBox
+    from perception.detection.boxes import FrameDetections, PersonBox
     from perception.detection.ground_search import GroundSearch
     from perception.detection.yolo import YoloNetwork
     from perception.images.frames import FrameSource
@@ -223,7 +223,7 @@ def _observe_file(
 ) -> None:
     """Detect and observe people, and write the table; journals are kept next to the output."""
     from graphtrack.io.read_write import write_table
-    from perception.detection.boxes import Detections, write_boxes
+    from perception.detection.boxes import FrameDetections, write_boxes
     from perception.images.pixels import is_video
     from perception.observe.journal import FrameJournal, while_unfinished
     from perception.observe.pipeline import FrameObservation
@@ -241,7 +241,7 @@ def _observe_file(
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:
             key = key_of(frames.stamp(), networks.asked)
-            points = unfinished.enter_context(FrameJournal(points_place, key, Detections))
+            points = unfinished.enter_context(FrameJournal(points_place, key, FrameDetections))
             people = find_keypoints(frames, networks, people, points, refuse, one_size=one_size)
             searched |= frozenset(points)
         assert people is not None
@@ -304,7 +304,7 @@ def _stream(
     probability = PersonProbability.of_package(foreground=False)
     search: GroundSearch | None = None
 
-    def detected(image: Image) -> Detections:
+    def detected(image: Image) -> FrameDetections:
         nonlocal search
         if detector is not None:
             return detector.detect(image)

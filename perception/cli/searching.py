@@ -22,7 +22,7 @@ from perception.storage import key_of
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.detection.boxes import Detections, PersonBox
+    from perception.detection.boxes import FrameDetections, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
     from perception.detection.yolo import YoloNetwork
@@ -46,7 +46,7 @@ class OwnNetworks:
 
     detector: YoloNetwork | None
     pose: YoloNetwork | None
-    known: Mapping[int, Detections] | None
+    known: Mapping[int, FrameDetections] | None
     asked: tuple[object, ...]
 
     @property
@@ -59,14 +59,14 @@ class OwnNetworks:
         """Return True if missing boxes are derived from keypoints."""
         return self.has_keypoints and self.detector is None
 
-    def look(self, frame: int, image: Image) -> Detections:
+    def look(self, frame: int, image: Image) -> FrameDetections:
         """Return the people of a frame with their keypoints."""
-        from perception.detection.boxes import Detections
+        from perception.detection.boxes import FrameDetections
 
         if self.pose is not None:
             return self.pose.detect(image)
         assert self.known is not None
-        return self.known.get(frame) or Detections(np.empty((0, 4)), np.empty(0))
+        return self.known.get(frame) or FrameDetections(np.empty((0, 4)), np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ Refuse = Callable[[str], object]
 
 def searched(
     frames: FrameSource,
-    journal: FrameJournal[Detections],
-    detect: Callable[[int, Image], Detections],
+    journal: FrameJournal[FrameDetections],
+    detect: Callable[[int, Image], FrameDetections],
     refuse: Refuse,
     numbers: set[int] | None = None,
     *,
@@ -178,7 +178,7 @@ def find_keypoints(
     frames: FrameSource,
     networks: OwnNetworks,
     people: list[PersonBox] | None,
-    journal: FrameJournal[Detections],
+    journal: FrameJournal[FrameDetections],
     refuse: Refuse,
     *,
     one_size: bool,
@@ -270,7 +270,7 @@ class PeopleSearch:
         If the run is interrupted within this context, the journals stay, and their frames are not searched
         again. ``refuse`` receives frames that cannot be decoded.
         """
-        from perception.detection.boxes import Detections, boxes_of
+        from perception.detection.boxes import FrameDetections, boxes_of
         from perception.detection.hog import PeopleDetector
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
@@ -280,7 +280,7 @@ class PeopleSearch:
         of_detections, of_adapted = search_journals(self.output)
         started, before = time.process_time(), time.perf_counter()
         with ExitStack() as journals:
-            journal = journals.enter_context(FrameJournal(of_detections, key, Detections))
+            journal = journals.enter_context(FrameJournal(of_detections, key, FrameDetections))
             adapted = journals.enter_context(FrameJournal(of_adapted, key, PersonProbability))
             report_progress(journal)
             count = len(journal)
@@ -289,7 +289,7 @@ class PeopleSearch:
             else:
                 detector = self.detector or PeopleDetector()
 
-                def find(number: int, image: Image) -> Detections:
+                def find(number: int, image: Image) -> FrameDetections:
                     return detector.detect(image)
 
                 searched(self.frames, journal, find, refuse, one_size=self.one_size)
@@ -304,7 +304,7 @@ class PeopleSearch:
     def _on_ground(
         self,
         camera: GroundCamera,
-        journal: FrameJournal[Detections],
+        journal: FrameJournal[FrameDetections],
         known: FrameJournal[PersonProbability],
         refuse: Refuse,
     ) -> None:
@@ -342,7 +342,7 @@ class PeopleSearch:
             if number not in journal:
                 journal.add(number, probability.detections(of_frame))
 
-        def detect(number: int, image: Image) -> Detections:
+        def detect(number: int, image: Image) -> FrameDetections:
             return probability.detections(searching(image).candidates(image, backgrounds.at(number)))
 
         searched(self.frames, journal, detect, refuse, one_size=True)

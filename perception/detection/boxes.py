@@ -161,7 +161,7 @@ def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Detections:
+class FrameDetections:
     """Detected people of one frame, best first.
 
     Attributes
@@ -219,7 +219,7 @@ def box_of(points: FloatArray) -> FloatArray | None:
 
 
 def boxes_of(
-    found: Mapping[int, Detections], refuse: Callable[[str], object] = lambda reason: None
+    found: Mapping[int, FrameDetections], refuse: Callable[[str], object] = lambda reason: None
 ) -> list[PersonBox]:
     """Return detections as boxes without identities, numbered from 1 on; people without a box are refused."""
     boxes: list[PersonBox] = []
@@ -239,7 +239,7 @@ def boxes_of(
     return boxes
 
 
-def _own_box(people: Detections, k: int) -> FloatArray | None:
+def _own_box(people: FrameDetections, k: int) -> FloatArray | None:
     """Return a person's given box, or that of the keypoints."""
     box = people.boxes[k]
     if np.isfinite(box).all() and box[2] >= 1.0 and box[3] >= 1.0:
@@ -247,7 +247,7 @@ def _own_box(people: Detections, k: int) -> FloatArray | None:
     return None if people.points is None else box_of(people.points[k])
 
 
-def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) -> list[PersonBox]:
+def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, FrameDetections]) -> list[PersonBox]:
     """Assign keypoints to boxes.
 
     Within a frame the keypoints of each person go to one box at most, maximising the total score.
@@ -268,7 +268,7 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) 
     return result
 
 
-def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
+def _fit(box: tuple[float, float, float, float], people: FrameDetections, k: int) -> float:
     """Return the score of a person in a box; 0: no match."""
     assert people.points is not None
     points, (left, top, width, height) = people.points[k], box

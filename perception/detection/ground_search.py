@@ -104,7 +104,7 @@ _LATTICE = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class SearchBand:
     """Part of the image, enlarged or reduced, and its windows with possible people of one height.
 
     Attributes
@@ -161,7 +161,7 @@ class Band:
         )
 
 
-def bands_of(sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> list[Band]:
+def bands_of(sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) -> list[SearchBand]:
     """Return the bands of images of ``size`` columns and rows that hold people, by height.
 
     ``tolerance`` is that of the log of people's height.
@@ -182,7 +182,9 @@ def bands_of(sizes: PersonSizes, size: tuple[int, int], tolerance: float = 0.1) 
     return [band for band in found if len(band.windows)]
 
 
-def _band(sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: float, tolerance: float) -> Band:
+def _band(
+    sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: float, tolerance: float
+) -> SearchBand:
     scale = TALL / tall
     low, high = near.min(axis=0), near.max(axis=0) + _LATTICE
     left, top = (int(np.floor(low[k] - FOOT[k] / scale)) for k in range(2))
@@ -197,7 +199,7 @@ def _band(sizes: PersonSizes, size: tuple[int, int], near: FloatArray, tall: flo
         off = np.log(tall / sizes.heights(feet.reshape(-1, 2))).reshape(feet.shape[:2])
         rows, columns = np.nonzero(inside & (np.abs(off) <= tolerance))
     windows = np.column_stack([rows, columns]).astype(np.int64)
-    return Band(scale, left, top, band_size, windows, feet[rows, columns])
+    return SearchBand(scale, left, top, band_size, windows, feet[rows, columns])
 
 
 FEATURES = WINDOW[0] * WINDOW[1] * (ORIENTATIONS + 1)

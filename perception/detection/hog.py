@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from graphtrack.geometry.angles import FloatArray
-from perception.detection.boxes import Detections
+from perception.detection.boxes import FrameDetections
 from perception.images.pixels import Image, non_maximum_suppression
 
 CELL = 8
@@ -125,7 +125,7 @@ class PeopleDetector:
         self.threshold = threshold
         self._filter = WindowFilter.of_opencv()
 
-    def detect(self, image: Image) -> Detections:
+    def detect(self, image: Image) -> FrameDetections:
         """Return people with their probabilities, best first."""
         found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
         for scale in self._scales(image):
@@ -136,7 +136,7 @@ class PeopleDetector:
             scores.append(values[kept].astype(float))
         boxes, score = foot_boxes(np.vstack(found), np.concatenate(heights)), np.concatenate(scores)
         best = non_maximum_suppression(boxes, score, _OVERLAP)
-        return Detections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
+        return FrameDetections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
 
     def _scales(self, image: Image) -> list[float]:
         """Return scales of the image, from the largest to the last at which a window fits."""

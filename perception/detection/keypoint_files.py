@@ -17,7 +17,7 @@ from graphtrack.io.text import trailing_number
 from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import LARGEST_FRAME
 from graphtrack.tracks.validation import parse_number
-from perception.detection.boxes import Detections
+from perception.detection.boxes import FrameDetections
 from perception.pose.keypoints import BY_NUMBER, KNOWN, coco_indices, in_coco_order
 
 _EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
@@ -29,7 +29,7 @@ _Person = tuple[int, FloatArray, FloatArray, float]
 _FrameOf = Callable[[str], int | None]
 
 
-def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> dict[int, Detections]:
+def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> dict[int, FrameDetections]:
     """Read the people of a JSON file, or of a folder with one file per frame, by frame.
 
     Frame numbers are ``image_id``, ``frame_id`` or those in the names of images and files.
@@ -53,14 +53,14 @@ def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> 
     return _by_frame(path, found)
 
 
-def _by_frame(path: Path, people: Iterable[_Person]) -> dict[int, Detections]:
+def _by_frame(path: Path, people: Iterable[_Person]) -> dict[int, FrameDetections]:
     groups: dict[int, list[_Person]] = {}
     for person in people:
         groups.setdefault(person[0], []).append(person)
     if not groups:
         raise InputError("no people", "at least one person's keypoints", path=path)
     found = {
-        frame: Detections(*(np.array(values) for values in (boxes, scores, points)))
+        frame: FrameDetections(*(np.array(values) for values in (boxes, scores, points)))
         for frame, group in sorted(groups.items())
         for _, points, boxes, scores in [zip(*group, strict=True)]
     }

@@ -20,7 +20,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
-from perception.detection.boxes import Detections
+from perception.detection.boxes import FrameDetections
 from perception.detection.ground_search import (
     APART,
     FEATURES,
@@ -190,11 +190,11 @@ class PersonProbability:
         log_odds = self.first * candidates.score + self.adapted * linear + self.offset
         return np.asarray(expit(log_odds) if self.certainty is None else self.certainty.of(log_odds), float)
 
-    def detections(self, candidates: Candidates) -> Detections:
+    def detections(self, candidates: Candidates) -> FrameDetections:
         """Return the candidates of a frame with non-negative log odds, best first."""
         best = joined(candidates.scored(self.of(candidates)))
         kept = best.score >= self.even
-        return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])
+        return FrameDetections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])
 
 
 def adapt_to_recording(

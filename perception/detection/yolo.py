@@ -29,7 +29,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
 from graphtrack.packages import package
-from perception.detection.boxes import Detections
+from perception.detection.boxes import FrameDetections
 from perception.images.pixels import Image, non_maximum_suppression
 from perception.pose.keypoints import BY_NUMBER, KNOWN, in_coco_order
 
@@ -64,7 +64,7 @@ _EXPECTED_POSE = "YOLO-pose's (1, 56, cells) or (1, n, 57)"
 
 
 @dataclass(frozen=True)
-class Layout:
+class OutputLayout:
     """Layout of an output.
 
     Attributes
@@ -118,7 +118,7 @@ def layout_of(
     names: int | None = None,
     keypoints: tuple[int, int] | None = None,
     pose: bool = False,
-) -> Layout:
+) -> OutputLayout:
     """The layout of an output.
 
     Parameters
@@ -162,11 +162,11 @@ def layout_of(
     if kind == "selected":
         if rest:
             raise InputError(found, expected, path=path)
-        return Layout(kind, names, points, each)
+        return OutputLayout(kind, names, points, each)
     if rest < 1 or (names is not None and rest != names):
         suffix = f", and {names} classes by name" if names is not None else ""
         raise InputError(found + suffix, f"{before} + classes{' + keypoints' if points else ''}", path=path)
-    return Layout(kind, rest, points, each)
+    return OutputLayout(kind, rest, points, each)
 
 
 def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
@@ -230,7 +230,7 @@ class YoloNetwork:
         outputs = self._run(letterboxed(blank, self.size)[0])
         # The first output of three dimensions: YOLOv5 also returns its cells, and others return masks.
         self._output = next((k for k, values in enumerate(outputs) if values.ndim == 3), 0)
-        self.layout: Layout = layout_of(
+        self.layout: OutputLayout = layout_of(
             outputs[self._output].shape,
             self.size,
             path=self.path,
@@ -251,7 +251,7 @@ class YoloNetwork:
             raise InputError(_cannot_run(error), "a network of one image", path=self.path) from error
         return found
 
-    def detect(self, image: Image) -> Detections:
+    def detect(self, image: Image) -> FrameDetections:
         """Return the people of an image (h, w, 3) uint8, best first."""
         values, scale, margin = letterboxed(image, self.size)
         output = self._run(values)[self._output]
@@ -268,7 +268,7 @@ class YoloNetwork:
             points = points[order]
             image_points = np.where(points[..., 2:] > 0.0, (points[..., :2] - margin) / scale, 0.0)
             points = np.concatenate([image_points, points[..., 2:]], axis=2)
-        return Detections(boxes, scores[order], points)
+        return FrameDetections(boxes, scores[order], points)
 
 
 def _cannot_run(error: Exception) -> str:

@@ -139,7 +139,7 @@ class Likelihoods:
 
 
 @dataclass(frozen=True)
-class Interval:
+class DirectionEstimate:
     """Estimated direction and its standard deviation, radians; narrower sectors are more opaque."""
 
     likeliest: float
@@ -155,7 +155,7 @@ class Interval:
             cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
 
 
-DrawnDirection = Likelihoods | Interval
+DrawnDirection = Likelihoods | DirectionEstimate
 """Direction with its uncertainty, to be drawn in a plane."""
 
 

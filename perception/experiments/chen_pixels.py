@@ -108,7 +108,7 @@ Estimate = Callable[[ObservedPerson, Model, int], Track]
 
 
 @dataclass(frozen=True)
-class Method:
+class PixelMethod:
     """Method of estimation.
 
     Attributes
@@ -139,15 +139,15 @@ def _online(person: ObservedPerson, model: Model, engine: Literal["chain", "isam
     )
 
 
-METHODS: Mapping[str, Method] = {
-    "particle": Method("online", _particle, seeds=3),
-    "particle, eq. 12–14": Method("online", _in_image, seeds=3),
-    "graph, chain": Method("online", lambda person, model, seed: _online(person, model, "chain")),
-    "graph, isam2": Method("online", lambda person, model, seed: _online(person, model, "isam2")),
-    "smoother": Method(
+METHODS: Mapping[str, PixelMethod] = {
+    "particle": PixelMethod("online", _particle, seeds=3),
+    "particle, eq. 12–14": PixelMethod("online", _in_image, seeds=3),
+    "graph, chain": PixelMethod("online", lambda person, model, seed: _online(person, model, "chain")),
+    "graph, isam2": PixelMethod("online", lambda person, model, seed: _online(person, model, "isam2")),
+    "smoother": PixelMethod(
         "offline", lambda person, model, seed: smooth_track(person.causal, model, person.camera).track
     ),
-    "smoother, heads of the whole track": Method(
+    "smoother, heads of the whole track": PixelMethod(
         "offline", lambda person, model, seed: smooth_track(person.offline, model, person.camera).track
     ),
 }

@@ -128,7 +128,7 @@ class Tally:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class LabelledPerson:
     """A labelled person in consecutive frames of a recording.
 
     Attributes
@@ -161,7 +161,7 @@ class Recording:
             yield as_uint8(np.asarray(image))
 
 
-def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recording]:
+def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[LabelledPerson]:
     """Return the people of CAVIAR's recordings labelled in ``fewest`` consecutive frames or more.
 
     Parameters
@@ -182,7 +182,7 @@ def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recordin
             numbers = np.array(sorted(labels))
             for run in np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1):
                 if len(run) >= fewest:
-                    found.append(Recording(name, person, tuple(run.tolist()), frames, labels))
+                    found.append(LabelledPerson(name, person, tuple(run.tolist()), frames, labels))
     return found
 
 
@@ -197,7 +197,7 @@ class PersonJob:
     frames : at most; all of a recording for None
     """
 
-    sequence: str | Recording
+    sequence: str | LabelledPerson
     seed: tuple[int, ...]
     frames: int | None
 
@@ -211,7 +211,7 @@ class PersonJob:
 
     def labelled(self) -> Iterator[tuple[Image, Box | None, bool]]:
         """Yield each image, the person's box in it, and whether the frame counts."""
-        if isinstance(self.sequence, Recording):
+        if isinstance(self.sequence, LabelledPerson):
             images = zip(self.sequence.numbers, self.sequence.images(), strict=True)
             for number, image in islice(images, self.frames):
                 yield image, self.sequence.labels[number], True
@@ -229,7 +229,7 @@ class PersonJob:
 
 def run_job(job: PersonJob) -> dict[str, Tally]:
     """Run every method on one sequence."""
-    given = isinstance(job.sequence, Recording)
+    given = isinstance(job.sequence, LabelledPerson)
     methods = FROM_BOXES if given else METHODS
     trackers = {
         name: SigmaPiTracker(parameters, seed=np.random.default_rng([*job.seed, 1]))

@@ -15,8 +15,8 @@ from perception.experiments.sigma_pi_runs import (
     MOTION,
     OURS,
     PRINTED,
+    LabelledPerson,
     PersonJob,
-    Recording,
     Tally,
     recordings,
     run_all,
@@ -55,7 +55,7 @@ def _effort(settings: Settings) -> tuple[int, int]:
     return (1, 120) if settings.quick else (10, 400)
 
 
-def _people(settings: Settings) -> list[Recording]:
+def _people(settings: Settings) -> list[LabelledPerson]:
     if settings.data is None:
         return []
     return recordings(Path(settings.data) / "caviar", REAL, _FEWEST)

@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT, write_calibration
 from perception.detection.boxes import PersonBox, foot_point
-from perception.ground.fitting import Fit, HeightData, View, fitted
+from perception.ground.fitting import CameraFit, HeightData, PinholeView, fitted
 from perception.images.pixels import intersection_over_union
 
 _OVERLAP = 0.3
@@ -99,7 +99,7 @@ class FoundView:
     Attributes
     ----------
     view : focal length, tilt, roll and height
-    std : 1-σ of each, in the same units, by the names of `View`
+    std : 1-σ of each, in the same units, by the names of `PinholeView`
     distance_std : relative 1-σ of distances on the ground between people, for a given mean height of people
     size : columns and rows of the image
     boxes, people : numbers used in the fit
@@ -107,7 +107,7 @@ class FoundView:
     notes : assumptions and warnings
     """
 
-    view: View
+    view: PinholeView
     std: Mapping[str, float]
     distance_std: float
     size: tuple[int, int]
@@ -193,7 +193,7 @@ def found_view(
     draws = rng.multivariate_normal(fit.vector, fit.covariance, _DRAWS)
     distance_std = _distance_std(draws, fit.vector, feet, size, rng)
     _check_options(fit, distance_std)
-    view = View.from_vector(fit.vector, person_height)
+    view = PinholeView.from_vector(fit.vector, person_height)
     deviation = np.sqrt(np.diag(fit.covariance)).tolist()
     std = {
         "focal": deviation[0] * view.focal,
@@ -231,7 +231,7 @@ def _distance_std(
     chosen = feet[rng.integers(len(feet), size=(2, 200))] + np.array(size) / 2.0
 
     def distances(vector: FloatArray) -> FloatArray:
-        ground = View.from_vector(vector, 1.0).camera(size).image_to_ground(chosen)
+        ground = PinholeView.from_vector(vector, 1.0).camera(size).image_to_ground(chosen)
         return np.asarray(np.linalg.norm(ground[0] - ground[1], axis=-1), float)
 
     known = distances(best)
@@ -246,7 +246,7 @@ def _distance_std(
     return float(np.median((high - low) / 2.0))
 
 
-def _check_options(fit: Fit, distance_std: float) -> None:
+def _check_options(fit: CameraFit, distance_std: float) -> None:
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
     if fit.inliers < _LEAST_INLIERS or fit.error > 0.3:
         raise ViewUnknown(
@@ -267,13 +267,13 @@ def _check_options(fit: Fit, distance_std: float) -> None:
         )
 
 
-def _share(fit: Fit, distance_std: float) -> float:
+def _share(fit: CameraFit, distance_std: float) -> float:
     """Return the largest uncertainty relative to its limit."""
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
     return max(focal / _LARGEST_FOCAL, tilt / _LARGEST_TILT, distance_std / _LARGEST_DISTANCE)
 
 
-def _notes(fit: Fit, distance_std: float, person_height: float) -> tuple[str, ...]:
+def _notes(fit: CameraFit, distance_std: float, person_height: float) -> tuple[str, ...]:
     notes = [
         f"scale: people's boxes are taken to be {person_height:g} m high on average",
         "the lens is taken to be without distortion, its axis to pass through the middle of the image",

@@ -26,7 +26,7 @@ _AHEAD = 1e-3
 
 
 @dataclass(frozen=True)
-class View:
+class PinholeView:
     """Pinhole camera over the ground, with a small roll and the principal point in the middle of the image.
 
     Attributes
@@ -65,7 +65,7 @@ class View:
         return GroundCamera.from_calibration(self.rotation, self.translation, self.intrinsics(size))
 
     @classmethod
-    def from_vector(cls, vector: FloatArray, person_height: float) -> View:
+    def from_vector(cls, vector: FloatArray, person_height: float) -> PinholeView:
         """Return the view of (4,) log focal length, tilt, roll, log height in heights of a person."""
         log_focal, tilt, roll, log_height = vector.tolist()
         return cls(float(np.exp(log_focal)), tilt, roll, float(np.exp(log_height)) * person_height)
@@ -115,7 +115,7 @@ _SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])  # prior 1-σ
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CameraFit:
     """View with its uncertainty.
 
     Attributes
@@ -147,7 +147,7 @@ class HeightData:
     """Of the image, in pixels; the longer side."""
 
 
-def fitted(data: HeightData) -> Fit:
+def fitted(data: HeightData) -> CameraFit:
     """Return the best view from several initial values."""
     rough = [_climbed(data, start, steps=12) for start in _starts(data)]
     best = sorted(rough, key=lambda fit: -fit.score)[:3]
@@ -182,7 +182,7 @@ def _residuals(data: HeightData, vector: FloatArray, radius: float = RADIUS) -> 
     return np.where(np.isfinite(ratio), np.clip(ratio, -_WORST, _WORST), _WORST)
 
 
-def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
+def _climbed(data: HeightData, start: FloatArray, steps: int) -> CameraFit:
     """Gauss–Newton steps with weights recomputed at each (iteratively reweighted least squares)."""
     mean, spread = np.array([np.log(1.1 * data.width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD
     known = np.diag(spread**-2.0)
@@ -205,7 +205,7 @@ def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
     score = state.score(residual) - 0.5 * float((((vector - mean) / spread) ** 2).sum())
     left = np.abs(residual - state.own[data.person])
     inliers = float((left < 3.0 * state.error).mean())
-    return Fit(vector, covariance, state.error, state.deviation, inliers, score)
+    return CameraFit(vector, covariance, state.error, state.deviation, inliers, score)
 
 
 def _slopes(data: HeightData, vector: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from graphtrack.geometry.angles import FloatArray, direction, unit
 from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera, Sensor
 from perception.synthetic.people import Appearance, Posture, RobotLook, random_appearance, random_robot
-from perception.synthetic.raycast import Ground, Light
+from perception.synthetic.raycast import Light, TiledFloor
 from perception.synthetic.scene import Furniture, Label, Person, Scene, StillScene
 
 ROOM = np.array([3.3, 2.4])
@@ -276,7 +276,7 @@ def ceiling_sequence(
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(1.0, 1.45)
     tint, key = rng.normal(1.0, 0.04, 3), rng.uniform(0.2, 0.5)
     light = Light.above(bearing, height, key * tint, rng.uniform(0.4, 0.6) * tint[::-1])
-    floor = Ground(
+    floor = TiledFloor(
         tuple(rng.uniform(0.3, 0.6) + rng.normal(0.0, 0.03, 3)), rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.2)
     )
     camera = Camera((0.0, 0.0, _HEIGHT), np.pi / 2, -np.pi / 2, _FOCAL, SIZE, "fisheye")

@@ -19,7 +19,7 @@ from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera, Sensor, random_light, random_sensor
 from perception.synthetic.pedestrians import PedestrianVariation, jittered_box, make_pedestrians
 from perception.synthetic.people import Appearance, Posture, random_appearance
-from perception.synthetic.raycast import Ground
+from perception.synthetic.raycast import TiledFloor
 from perception.synthetic.scene import Furniture, Person, Scene, StillScene
 
 _SIZE = (640, 480)
@@ -124,7 +124,7 @@ def draw_walks(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fp
         )
         for _ in range(4)
     )
-    floor = Ground(tuple(rng.uniform(0.2, 0.6) + rng.normal(0.0, 0.03, 3)), 0.6, rng.uniform(0.0, 0.2))
+    floor = TiledFloor(tuple(rng.uniform(0.2, 0.6) + rng.normal(0.0, 0.03, 3)), 0.6, rng.uniform(0.0, 0.2))
     scene = Scene(camera, random_light(rng), floor, furniture, tuple(rng.uniform(0.3, 0.7, 3)))
     appearances, sensor = [random_appearance(rng) for _ in range(people)], random_sensor(rng)
     return Walks(scene, appearances, sensor, TrackSet(tuple(_moved(track, rng) for track in walks)), fps)

@@ -18,7 +18,7 @@ from perception.synthetic.cameras import (
     random_sensor,
 )
 from perception.synthetic.people import Posture, random_appearance
-from perception.synthetic.raycast import Ground
+from perception.synthetic.raycast import TiledFloor
 from perception.synthetic.scene import Furniture, Person, Scene, render_frame
 
 _DISTANCE = 9.0
@@ -136,7 +136,7 @@ def _pedestrian(
     if rng.random() < v.occluded:
         shade = tuple(rng.uniform(0.05, 0.7, 3))
         furniture = (Furniture((0.8, rng.uniform(-0.6, 0.6)), (0.3, 0.9, rng.uniform(0.3, 0.8)), 0.0, shade),)
-    floor = Ground(
+    floor = TiledFloor(
         tuple(rng.uniform(0.1, 0.7) + rng.normal(0.0, 0.03, 3)), rng.uniform(0.2, 1.5), rng.uniform(0, 0.3)
     )
     scene = Scene(camera, random_light(rng), floor if rng.random() < v.floor else None, furniture)

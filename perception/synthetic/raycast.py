@@ -286,7 +286,7 @@ class Light:
 
 
 @dataclass(frozen=True)
-class Ground:
+class TiledFloor:
     """A tiled floor z = 0.
 
     Attributes
@@ -330,7 +330,7 @@ def cast(
     solids: Solids,
     light: Light,
     *,
-    ground: Ground | None = None,
+    ground: TiledFloor | None = None,
     n_groups: int | None = None,
     owner: NDArray[np.int64] | None = None,
 ) -> Cast:

@@ -13,10 +13,10 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera, Sensor, develop
 from perception.synthetic.people import Appearance, Posture, RobotLook, person_solids, robot_solids
-from perception.synthetic.raycast import Cast, Ground, Light, cast
+from perception.synthetic.raycast import Cast, Light, TiledFloor, cast
 from perception.synthetic.solids import Builder, Solids, rotation_z
 
-_GREY_FLOOR = Ground((0.42, 0.45, 0.47))
+_GREY_FLOOR = TiledFloor((0.42, 0.45, 0.47))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Scene:
 
     camera: Camera
     light: Light
-    ground: Ground | None = _GREY_FLOOR
+    ground: TiledFloor | None = _GREY_FLOOR
     furniture: tuple[Furniture, ...] = ()
     backdrop: tuple[float, float, float] = (0.5, 0.5, 0.48)
 

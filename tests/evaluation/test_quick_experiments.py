@@ -47,7 +47,7 @@ SETTINGS = Settings(quick=True)
 def test_baxter_weight_fits_each_dependence_of_the_weight(monkeypatch: pytest.MonkeyPatch) -> None:
     corpus = simulate_behaviour(4, CorpusParameters(tracks=3, steps=120), rng=SETTINGS.rng(0))
     first, *others = corpus.tracks()
-    source = baxter_weight.Source("corpus", 2.5, [first], others)
+    source = baxter_weight.WeightData("corpus", 2.5, [first], others)
     monkeypatch.setattr(baxter_weight, "sources", lambda settings: [source])
     monkeypatch.setattr(baxter_weight, "METHODS", ("intentional",))
     done: list[int] = []

@@ -16,7 +16,7 @@ from format_samples import sample_of
 from refusals import refused
 
 from graphtrack import io
-from graphtrack.cli.options import Reading
+from graphtrack.cli.options import MetricReading
 from graphtrack.errors import InputError
 from graphtrack.io.suggestion import suggest
 from graphtrack.tracks.track import TrackSet
@@ -134,13 +134,13 @@ def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TrackSet
     done = command.ran("info", path, "--suggest", program="graphtrack")
     (line,) = done.stdout.splitlines()
     read: list[TrackSet] = []
-    tracks_of = Reading.tracks
+    tracks_of = MetricReading.tracks
 
     def kept(*arguments: object, **options: object) -> TrackSet:
         read.append(tracks_of(*arguments, **options))  # type: ignore[arg-type]
         return read[-1]
 
-    monkeypatch.setattr(Reading, "tracks", kept)
+    monkeypatch.setattr(MetricReading, "tracks", kept)
     program, *arguments = shlex.split(line)
     done = command.ran(*arguments, program=program)
     return read[0], line

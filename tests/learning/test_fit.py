@@ -21,7 +21,7 @@ from graphtrack.learning.fit import TruthLikelihood
 from graphtrack.learning.scene import _Explained as Explained
 from graphtrack.learning.scene import _recording as recording_of
 from graphtrack.model import Model
-from graphtrack.simulation.crowd import Place, crowd
+from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.detector import FALSE, Detected, Detector, detect
 from graphtrack.tracks.track import TrackSet
 
@@ -88,7 +88,7 @@ MISSED, CLUTTER, NOISE, SECONDS = 0.15, 1.0, 0.1, 120.0
 def seen() -> Detected:
     """People who cross a place, with detector errors and without declared noise."""
     rng = np.random.default_rng(0)
-    exact = crowd(rng, seconds=SECONDS, place=Place(arrivals=0.25))
+    exact = crowd(rng, seconds=SECONDS, place=CrossedArea(arrivals=0.25))
     found = detect(exact, Detector(missed=MISSED, clutter=CLUTTER), position_std=NOISE, rng=rng)
     return replace(found, observed=found.observed.map(lambda track: replace(track, position_std=None)))
 

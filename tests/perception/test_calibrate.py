@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import read_calibration
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.ground.calibration import FoundView, found_view, people_of
-from perception.ground.fitting import RADIUS, RADIUS_STD, View, box_heights
+from perception.ground.fitting import RADIUS, RADIUS_STD, PinholeView, box_heights
 from perception.synthetic.cameras import Camera
 
 SIZE = (1280, 720)
@@ -84,15 +84,15 @@ def deviations(found: FoundView, camera: Camera) -> FloatArray:
 
 def test_a_view_is_the_synthetic_camera_that_looks_the_same_way() -> None:
     camera = Camera((0.0, 0.0, 5.0), np.pi / 2, -0.4, 900.0, SIZE)
-    seen = View(900.0, 0.4, 0.0, 5.0).camera(SIZE)
+    seen = PinholeView(900.0, 0.4, 0.0, 5.0).camera(SIZE)
     places = np.random.default_rng(0).uniform((-4.0, 6.0), (4.0, 20.0), (20, 2))
     np.testing.assert_allclose(seen.ground_to_image(places), camera.ground_camera().ground_to_image(places))
 
 
 def test_box_heights_are_those_of_projected_cylinders() -> None:
-    view = View(800.0, 0.5, 0.2, 6.0)
+    view = PinholeView(800.0, 0.5, 0.2, 6.0)
     vector = np.array([np.log(800.0), 0.5, 0.2, np.log(6.0 / 1.7)])
-    assert astuple(View.from_vector(vector, 1.7)) == pytest.approx(astuple(view))
+    assert astuple(PinholeView.from_vector(vector, 1.7)) == pytest.approx(astuple(view))
     feet = np.random.default_rng(0).uniform((-500.0, -100.0), (500.0, 340.0), (30, 2))
     ground = view.camera(SIZE).image_to_ground(feet + np.array(SIZE) / 2.0)
     away = ground / np.linalg.norm(ground, axis=1, keepdims=True)

@@ -18,7 +18,7 @@ from selection import others_slow
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import to_columns
-from perception.detection.boxes import Detections
+from perception.detection.boxes import FrameDetections
 from perception.detection.ground_search import FEATURES
 from perception.detection.rescoring import Certainty, PersonProbability
 from perception.ground.upright import LeaningPose
@@ -184,7 +184,7 @@ def test_a_record_comes_back_as_it_was() -> None:
     known = FrameObservation([replace(person, standing=LeaningPose((4.0, 5.0), 0.1, 30.0))], ["why"])
     records: list[Any] = [
         known,
-        Detections(np.empty((0, 4)), np.empty(0)),
+        FrameDetections(np.empty((0, 4)), np.empty(0)),
         PersonProbability(np.ones(FEATURES, np.float32), 1.0, 2.0, 3.0, 4.0, 5, 6, certain),
     ]
     for record in records:

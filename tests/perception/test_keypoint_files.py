@@ -16,7 +16,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from perception.detection.boxes import (
-    Detections,
+    FrameDetections,
     PersonBox,
     box_of,
     boxes_of,
@@ -208,7 +208,7 @@ def test_points_of_other_names_and_empty_folders_are_refused(tmp_path: Path) -> 
 def test_everybody_has_their_own_points() -> None:
     """Boxes in any order; unmatched boxes have no keypoints, and no keypoints are used twice."""
     found = {
-        k: Detections(np.full((2, 4), np.nan), np.ones(2), np.array([points for points, _ in group]))
+        k: FrameDetections(np.full((2, 4), np.nan), np.ones(2), np.array([points for points, _ in group]))
         for k, group in PEOPLE.items()
     }
     boxes = [
@@ -240,7 +240,7 @@ def test_boxes_of_points_enclose_people_whose_legs_are_hidden_too() -> None:
             face[5:] = 0.0
             assert box_of(face) is None and box_of(points * 0.0) is None
     told: list[str] = []
-    alone = Detections(np.full((1, 4), np.nan), np.ones(1), face[None])
+    alone = FrameDetections(np.full((1, 4), np.nan), np.ones(1), face[None])
     assert boxes_of({3: alone}, told.append) == [] and "1 people" in told[0]
 
 

@@ -22,7 +22,7 @@ from perception.pose.head_detection import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
 from perception.synthetic.cameras import Sensor
 from perception.synthetic.people import Posture, random_appearance
-from perception.synthetic.raycast import Ground, Light
+from perception.synthetic.raycast import Light, TiledFloor
 
 STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))
 EIGHT = PoseClasses.circle(8)
@@ -36,7 +36,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(0)
     look = random_appearance(rng)
     light = Light((0.3, -0.5, 0.8), (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
-    scene = Scene(STREET, light, Ground((0.6, 0.6, 0.6)))
+    scene = Scene(STREET, light, TiledFloor((0.6, 0.6, 0.6)))
     boxes = []
     for k in range(6):
         posture = Posture((-1.0 + 0.25 * k, 0.0), 0.0, 0.0, phase=0.9 * k, stride=0.8)

@@ -24,7 +24,7 @@ from perception.adaptation import learning
 from perception.adaptation.learning import learn
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
-from perception.drawing.overlays import Interval
+from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import FrameSource
 from perception.observe import pipeline
@@ -269,13 +269,15 @@ def test_arrows_and_sectors_are_drawn_about_the_person_alone(street: PastedStree
     foot = camera.ground_to_image([0.0, 0.0])
     box = np.array([foot[0] - 20.0, foot[1] - 100.0, 40.0, 100.0])
     path = camera.ground_to_image([[-0.5, 0.0], [0.0, 0.0]])
-    person = DrawnPerson(3, box, np.zeros(2), Interval(0.5, 0.2), Interval(1.0, 0.4), path=path)
+    person = DrawnPerson(
+        3, box, np.zeros(2), DirectionEstimate(0.5, 0.2), DirectionEstimate(1.0, 0.4), path=path
+    )
     bare = draw_people(image, "", [], camera)
     drawn = draw_people(image, "", [person], camera)
     rows, columns = np.nonzero((drawn != bare).any(axis=2))
     assert rows.min() > box[1] - 30 and rows.max() < foot[1] + 80
     assert columns.min() > foot[0] - 120 and columns.max() < foot[0] + 120
-    wide = draw_people(image, "", [replace(person, body=Interval(0.5, 2.0))], camera)
+    wide = draw_people(image, "", [replace(person, body=DirectionEstimate(0.5, 2.0))], camera)
     hidden = draw_people(image, "", [replace(person, visible=False)], camera)
     assert (wide != drawn).any() and (hidden != drawn).any()
     unknown = replace(person, body=None, head=None)

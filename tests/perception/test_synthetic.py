@@ -30,7 +30,7 @@ from perception.synthetic.ceiling import ALL_KINDS, KINDS, SIZE, CeilingSequence
 from perception.synthetic.clips import walking_clip
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.synthetic.people import Appearance, Posture, head_solids, person_solids, random_appearance
-from perception.synthetic.raycast import Ground, Light, cast
+from perception.synthetic.raycast import Light, TiledFloor, cast
 from perception.synthetic.scene import StillScene
 from perception.synthetic.solids import Builder, rotation_up, rotation_z
 
@@ -121,7 +121,7 @@ def test_few_drawn_poses_have_some_of_every_class() -> None:
 @pytest.mark.parametrize("camera", [STREET, CEILING])
 def test_boxes_are_those_of_the_pixels_that_change(camera: Camera) -> None:
     scene = Scene(
-        camera, Light((0.0, 0.0, 1.0), (0.0,) * 3, (1.0,) * 3), Ground((1.0, 1.0, 1.0), contrast=0.0)
+        camera, Light((0.0, 0.0, 1.0), (0.0,) * 3, (1.0,) * 3), TiledFloor((1.0, 1.0, 1.0), contrast=0.0)
     )
     person = Person(plain(height=1.8), Posture((0.8, 0.6), 0.4, 0.9, stride=0.7, phase=1.0))
     rng = np.random.default_rng(0)
@@ -157,7 +157,7 @@ def test_the_shadow_falls_away_from_the_light() -> None:
     above = Camera((0.0, 0.0, 9.0), 0.0, -np.pi / 2, 100.0, (160, 160))
     slanted = Light((*(np.cos(0.8) * unit(0.7)), np.sin(0.8)), (0.6,) * 3, (0.4,) * 3)
     args = np.array(above.position), above.rays(), make.build(), slanted
-    colour = cast(*args, ground=Ground((1.0, 1.0, 1.0), contrast=0.0)).colour[..., 0]
+    colour = cast(*args, ground=TiledFloor((1.0, 1.0, 1.0), contrast=0.0)).colour[..., 0]
     shade = above.project((*(-unit(0.7) / np.tan(0.8)), 0.0)).astype(int)
     lit = above.project((*(unit(0.7) / np.tan(0.8)), 0.0)).astype(int)
     assert colour[shade[1], shade[0]] == pytest.approx(0.4, abs=1e-6)
@@ -165,7 +165,7 @@ def test_the_shadow_falls_away_from_the_light() -> None:
 
 
 def test_light_and_noise_do_what_they_say() -> None:
-    scene = Scene(STREET, OVERHEAD, Ground((0.5, 0.5, 0.5), contrast=0.0))
+    scene = Scene(STREET, OVERHEAD, TiledFloor((0.5, 0.5, 0.5), contrast=0.0))
     rng = np.random.default_rng(0)
     dim = render_frame(scene, [], Sensor(gain=0.5, gamma=1.0), rng, oversampling=1).image.astype(float)
     bright = render_frame(scene, [], Sensor(gain=1.0, gamma=1.0), rng, oversampling=1).image

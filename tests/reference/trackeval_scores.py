@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.evaluation.matching import Detections
+from graphtrack.evaluation.matching import IdentifiedRows
 
 STORED = Path(__file__).with_suffix(".json")
 SEEDS = range(12)
@@ -45,7 +45,7 @@ MEANS = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
 CURVES = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
 """Ours → theirs; curves have one name."""
 
-Pair = tuple[Detections, Detections]
+Pair = tuple[IdentifiedRows, IdentifiedRows]
 """Estimates and truth."""
 
 
@@ -65,7 +65,7 @@ def oracle(pairs: Sequence[Pair], *, metres: float | None = None, iou: float | N
     return found | {"curves": {name: said[name].tolist() for name in CURVES}}
 
 
-def _data(estimates: Detections, truth: Detections, metres: float | None) -> dict[str, Any]:
+def _data(estimates: IdentifiedRows, truth: IdentifiedRows, metres: float | None) -> dict[str, Any]:
     """One sequence as TrackEval's metrics take it."""
     from trackeval.datasets._base_dataset import _BaseDataset
 

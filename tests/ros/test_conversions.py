@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from graphtrack.io.formats.ros_bag import kappa_of, spread_of, variance_of, yaw_of
 from graphtrack.io.formats.ros_reading import Transforms
-from graphtrack.io.formats.ros_writing import Person
+from graphtrack.io.formats.ros_writing import PersonMessage
 
 ANGLES = st.floats(-math.pi + 1e-6, math.pi)
 SIZES = st.floats(1e-3, 1e3)
@@ -63,11 +63,11 @@ def test_covariances_that_are_unknown_say_nothing(first):
 def test_ellipses_hold_95_percent(root):
     matrix = np.array([[root[0], 0.0], [root[1], root[2]]])
     plane = matrix @ matrix.T + 1e-3 * np.eye(2)
-    unknown = dict.fromkeys(Person._fields, math.nan)
-    longer, shorter, angle = Person(
+    unknown = dict.fromkeys(PersonMessage._fields, math.nan)
+    longer, shorter, angle = PersonMessage(
         **unknown | {"xx": plane[0, 0], "xy": plane[0, 1], "yy": plane[1, 1]}
     ).ellipse
-    assert Person(**unknown).ellipse is None
+    assert PersonMessage(**unknown).ellipse is None
     values = np.linalg.eigvalsh(plane)
     # The squared radius that holds 95 % of two Gaussian coordinates is −2·log(0.05).
     np.testing.assert_allclose([shorter, longer], 2.0 * np.sqrt(-2.0 * math.log(0.05) * values), rtol=1e-6)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.evaluation.matching import Detections, known_detections
+from graphtrack.evaluation.matching import IdentifiedRows, known_detections
 from graphtrack.tracks.track import Track, TrackSet
 
 FRAMES = 40
 
 
-def random_scene(seed: int, *, boxes: bool = False) -> tuple[Detections, Detections]:
+def random_scene(seed: int, *, boxes: bool = False) -> tuple[IdentifiedRows, IdentifiedRows]:
     """Estimates and truth of a few people who walk in a crowd, on the ground or in the image."""
     rng = np.random.default_rng(seed)
     people = int(rng.integers(1, 7))
@@ -30,7 +30,7 @@ def random_scene(seed: int, *, boxes: bool = False) -> tuple[Detections, Detecti
     return tuple(_detections(rng, *rows, boxes) for rows in (estimates, truth))  # type: ignore[return-value]
 
 
-def as_tracks(detections: Detections) -> TrackSet:
+def as_tracks(detections: IdentifiedRows) -> TrackSet:
     """Detections on the ground as tracks, at 10 Hz."""
     tracks = []
     for identity in np.unique(detections.track_id):
@@ -82,7 +82,7 @@ def _false_alarms(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.
 
 def _detections(
     rng: np.random.Generator, track_id: np.ndarray, frame: np.ndarray, position: np.ndarray, boxes: bool
-) -> Detections:
+) -> IdentifiedRows:
     if not boxes:
         return known_detections(track_id, frame, position)
     size = np.array([60.0, 150.0]) * (0.9 + 0.2 * rng.random((len(frame), 2)))

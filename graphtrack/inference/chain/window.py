@@ -19,7 +19,7 @@ from graphtrack.inference.chain.window_kernels import (
     PREDICTED,
     TASK,
     Advanced,
-    Rules,
+    WindowRules,
     Windows,
     advance,
     window_problem,
@@ -401,6 +401,6 @@ def _size_for(frames: int) -> int:
 
 
 @lru_cache(64)
-def _rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
+def _rules_of(model: Model, tolerance: float, max_iterations: int) -> WindowRules:
     """The same object for equal parameters, so that windows that share it can be solved together."""
-    return Rules(model.has_body, model.has_head, max_iterations, tolerance)
+    return WindowRules(model.has_body, model.has_head, max_iterations, tolerance)

@@ -147,7 +147,7 @@ def solve_window(
     states: FloatArray,
     warm: bool,
     search: bool,
-    rules: Rules,
+    rules: WindowRules,
     memory: Workspace,
     covariance: FloatArray,
 ) -> bool:
@@ -214,7 +214,7 @@ def move_if_less(
     prior: FloatArray,
     kept: int,
     squares: bool,
-    rules: Rules,
+    rules: WindowRules,
     memory: Workspace,
 ) -> int:
     """Minimise from ``memory.again``, and move there if that costs more than ``gain`` less.
@@ -399,7 +399,7 @@ NOTHING, AS_SET, PREDICTED = range(3)
 """Added frame: none; one with its state in its row; or one predicted from the last frame."""
 
 
-class Rules(NamedTuple):
+class WindowRules(NamedTuple):
     """Parameters shared by all windows of a smoother's kind."""
 
     has_body: bool
@@ -427,7 +427,12 @@ def predict_state(states: FloatArray, row: int, dt: float) -> None:
 
 @compiled
 def report(
-    problem: Problem, state: FloatArray, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
+    problem: Problem,
+    state: FloatArray,
+    rules: WindowRules,
+    covariance: FloatArray,
+    p: int,
+    advanced: Advanced,
 ) -> None:
     """Report the newest frame of a window, a ``state`` (6,)."""
     reported = advanced.covariance[p]
@@ -445,7 +450,7 @@ def report(
 
 
 @allocating
-def advance(windows: Windows, tasks: np.ndarray, rules: Rules, advanced: Advanced) -> None:
+def advance(windows: Windows, tasks: np.ndarray, rules: WindowRules, advanced: Advanced) -> None:
     """Add one observation, or a change, to each of some windows of a block.
 
     Parameters

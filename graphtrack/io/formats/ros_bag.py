@@ -189,7 +189,7 @@ _NOT_ROTATED = (0.0, 0.0, 0.0, 0.0)
 _UNKNOWN = np.zeros(36)
 
 
-class Sighting(NamedTuple):
+class PersonSighting(NamedTuple):
     """Observation of a person.
 
     Attributes
@@ -221,18 +221,18 @@ _SIGHTING = np.dtype(
 )
 
 
-class Frame(NamedTuple):
+class PeopleMessage(NamedTuple):
     """A message: its stamp (ns), its frame of reference, and its people."""
 
     stamp: int
     frame_id: str
-    people: list[Sighting]
+    people: list[PersonSighting]
 
 
-def sightings_of(frames: Iterable[tuple[Frame, int]]) -> NDArray[np.void]:
+def sightings_of(frames: Iterable[tuple[PeopleMessage, int]]) -> NDArray[np.void]:
     """Return the sightings of messages, each with its number in the topic, as records (n,).
 
-    The fields are those of `Frame` and `Sighting`, and ``number``.
+    The fields are those of `PeopleMessage` and `PersonSighting`, and ``number``.
     """
     people = [(frame.stamp, number, frame.frame_id, *one) for frame, number in frames for one in frame.people]
     return np.array(people, _SIGHTING)
@@ -243,10 +243,10 @@ def stamp_of(header: Any) -> int:
     return int(header.stamp.sec) * SECOND + int(header.stamp.nanosec)
 
 
-def frame_of(message: Any, kind: str) -> Frame:
+def frame_of(message: Any, kind: str) -> PeopleMessage:
     """Return the sightings of a message of one of the types `OF_PEOPLE`."""
     header = message.header
-    return Frame(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
+    return PeopleMessage(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
 
 
 def _place(point: Any) -> tuple[float, float, float]:
@@ -257,11 +257,11 @@ def _turn(orientation: Any) -> tuple[float, float, float, float]:
     return orientation.x, orientation.y, orientation.z, orientation.w
 
 
-def _posed(pose: Any, covariance: Any = _UNKNOWN) -> Sighting:
-    return Sighting("", _place(pose.position), _turn(pose.orientation), covariance)
+def _posed(pose: Any, covariance: Any = _UNKNOWN) -> PersonSighting:
+    return PersonSighting("", _place(pose.position), _turn(pose.orientation), covariance)
 
 
-def _of_detections(message: Any) -> Iterator[Sighting]:
+def _of_detections(message: Any) -> Iterator[PersonSighting]:
     for one in message.detections:
         pose, covariance, score, kind = one.bbox.center, _UNKNOWN, 0.0, ""
         head, head_covariance = _NOT_ROTATED, _UNKNOWN
@@ -274,7 +274,7 @@ def _of_detections(message: Any) -> Iterator[Sighting]:
         if best is not None:
             pose, covariance = best.pose.pose, best.pose.covariance
             score, kind = best.hypothesis.score, best.hypothesis.class_id
-        yield Sighting(
+        yield PersonSighting(
             one.id.strip(),
             _place(pose.position),
             _turn(pose.orientation),
@@ -286,15 +286,15 @@ def _of_detections(message: Any) -> Iterator[Sighting]:
         )
 
 
-_READERS: Mapping[str, Callable[[Any], Iterable[Sighting]]] = {
+_READERS: Mapping[str, Callable[[Any], Iterable[PersonSighting]]] = {
     PEOPLE: lambda m: [
-        Sighting(one.name.strip(), _place(one.position), score=one.reliability) for one in m.people
+        PersonSighting(one.name.strip(), _place(one.position), score=one.reliability) for one in m.people
     ],
     DETECTIONS: _of_detections,
     POSES: lambda m: map(_posed, m.poses),
     POSE: lambda m: [_posed(m.pose)],
     POSE_WITH_COVARIANCE: lambda m: [_posed(m.pose.pose, m.pose.covariance)],
-    IDS: lambda m: [Sighting(one.strip()) for one in m.ids],
+    IDS: lambda m: [PersonSighting(one.strip()) for one in m.ids],
 }
 
 

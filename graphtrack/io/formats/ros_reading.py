@@ -25,7 +25,7 @@ from graphtrack.io.formats.ros_bag import (
     TEXT,
     TRANSFORMS,
     Bag,
-    Frame,
+    PeopleMessage,
     chosen_topics,
     frame_of,
     is_of_one,
@@ -284,7 +284,7 @@ class Humans:
 _USUAL = ("map", "odom", "world", "earth", "")  # fixed frames of reference, by REP 105
 
 
-class Ground:
+class GroundFrame:
     """Transformation of sightings to the ground of a frame of reference.
 
     Parameters
@@ -471,7 +471,7 @@ def _is_given(classes: tuple[str, ...]) -> bool:
     return classes != ("Pedestrian",)
 
 
-def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int, int]]:
+def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[PeopleMessage, int, int]]:
     """Yield the messages of people of one type, their numbers and the index of their topic.
 
     Times are those of one clock. Names of several topics are kept apart by those of the topics.
@@ -508,7 +508,7 @@ def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> Non
         raise InputError(found, expected, line=number, column=topic)
 
 
-def _ground(bag: Bag, topics: list[str], fixed: str | None) -> Ground:
+def _ground(bag: Bag, topics: list[str], fixed: str | None) -> GroundFrame:
     """Return the transformation to the ground; tf is read where it may be needed."""
     humans = Humans.of(bag, topics[0]) if bag.topics[topics[0]] == IDS else None
     fixed = None if fixed is None else fixed.lstrip("/")
@@ -518,11 +518,11 @@ def _ground(bag: Bag, topics: list[str], fixed: str | None) -> Ground:
         for one, given in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
             transforms.add(given, static=one.topic.endswith(_STATIC))
     has_transforms = TRANSFORMS in bag.topics.values()
-    return Ground(fixed, transforms, humans, has_transforms)
+    return GroundFrame(fixed, transforms, humans, has_transforms)
 
 
 def _read(
-    bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tuple[str, ...], columns: _Columns
+    bag: Bag, kind: str, topics: list[str], ground: GroundFrame, classes: tuple[str, ...], columns: _Columns
 ) -> None:
     """Add the messages of one type to the columns."""
     frames = _frames(bag, kind, topics)

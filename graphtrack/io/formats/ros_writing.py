@@ -53,7 +53,7 @@ class Make(Protocol):
         """Return a message of a type such as "geometry_msgs/msg/Pose"."""
 
 
-class Person(NamedTuple):
+class PersonMessage(NamedTuple):
     """Estimate of a person at a time; NaN where a number is unknown.
 
     Attributes
@@ -119,7 +119,7 @@ def pose_at(make: Make, x: float, y: float, z: float, yaw: float = 0.0) -> Any:
     )
 
 
-def people_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
+def people_message(make: Make, header: Any, people: Iterable[PersonMessage]) -> Any:
     """Return ``people_msgs/People``: positions and velocities."""
     point = "geometry_msgs/msg/Point"
     found = [
@@ -137,7 +137,7 @@ def people_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
     return make(PEOPLE, header=header, people=found)
 
 
-def detections_message(make: Make, header: Any, people: Sequence[Person]) -> Any:
+def detections_message(make: Make, header: Any, people: Sequence[PersonMessage]) -> Any:
     """Return ``vision_msgs/Detection3DArray``: body poses with covariances; heads are a second hypothesis.
 
     Quaternion and covariance are 0 where a direction is unknown.
@@ -160,7 +160,9 @@ def detections_message(make: Make, header: Any, people: Sequence[Person]) -> Any
     return make(DETECTIONS, header=header, detections=found)
 
 
-def _hypothesis(make: Make, kind: str, score: float, pose: Any, one: Person, yaw_variance: float) -> Any:
+def _hypothesis(
+    make: Make, kind: str, score: float, pose: Any, one: PersonMessage, yaw_variance: float
+) -> Any:
     covariance = np.zeros(36)
     covariance[[0, 1, 6, 7, 35]] = [_known(v) for v in (one.xx, one.xy, one.xy, one.yy, yaw_variance)]
     return make(
@@ -170,7 +172,7 @@ def _hypothesis(make: Make, kind: str, score: float, pose: Any, one: Person, yaw
     )
 
 
-def ids_message(make: Make, header: Any, people: Iterable[Person]) -> Any:
+def ids_message(make: Make, header: Any, people: Iterable[PersonMessage]) -> Any:
     """Return ``hri_msgs/IdsList``: the identities of the people present."""
     return make(IDS, header=header, ids=[one.name for one in people])
 
@@ -240,7 +242,7 @@ class Arrow(NamedTuple):
     colour: str
 
 
-def arrows_of(one: Person) -> Iterator[Arrow]:
+def arrows_of(one: PersonMessage) -> Iterator[Arrow]:
     """Yield arrows of velocity, body and head, as far as they are known."""
     if math.isfinite(one.vx + one.vy):
         length = max(math.hypot(one.vx, one.vy), _SHORTEST)
@@ -265,12 +267,14 @@ def _size(make: Make, x: float, y: float, z: float) -> Any:
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
-def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
+def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[PersonMessage]) -> Any:
     """Return ``visualization_msgs/MarkerArray``: a namespace for each kind of drawing; stamp in ns."""
     header = header_of(make, stamp, frame_id)
     found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL)]
 
-    def add(name: str, one: Person, kind: int, pose: Any, scale: Any, colour: str, **more: Any) -> None:
+    def add(
+        name: str, one: PersonMessage, kind: int, pose: Any, scale: Any, colour: str, **more: Any
+    ) -> None:
         red, green, blue = _shares(colour)
         shade = make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=more.pop("alpha", 1.0))
         found.append(
@@ -321,7 +325,7 @@ _LATEST = 2**31 * 10**9
 _CHUNK = 4 * 2**20
 
 
-def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:
+def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[PersonMessage]) -> Any:
     """Return estimates of people at a time (ns) as a message of one of the types of `TOPICS`."""
     if kind == MARKERS:
         return markers_message(make, stamp, frame_id, people)
@@ -360,7 +364,7 @@ def write_mcap(tracks: TrackSet, path: Path) -> None:
         writer.finish()
 
 
-def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[Person]]]:
+def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[PersonMessage]]]:
     """Yield each time and its people; nanoseconds since 1970, or from 0 where no date is known."""
     if not len(tracks):
         return
@@ -381,11 +385,11 @@ def people_by_time(tracks: TrackSet) -> Iterator[tuple[int, list[Person]]]:
     edges = [*np.flatnonzero(np.diff(stamps, prepend=-1)).tolist(), len(stamps)]
     for first, end in pairwise(edges):
         rows = zip(track_index[first:end].tolist(), state[first:end].tolist(), strict=True)
-        yield int(stamps[first]), [Person(label_text[k], labels[k], k, *row) for k, row in rows]
+        yield int(stamps[first]), [PersonMessage(label_text[k], labels[k], k, *row) for k, row in rows]
 
 
 def _state(track: Track) -> FloatArray:
-    """Return the numbers of a person, (n, 12) in the order of `Person`."""
+    """Return the numbers of a person, (n, 12) in the order of `PersonMessage`."""
     n = len(track)
 
     def of(values: FloatArray | None) -> FloatArray:

@@ -19,8 +19,8 @@ from graphtrack.evaluation.methods import Method
 from graphtrack.evaluation.trackers import (
     INSTALL,
     TUNED,
+    DetectedScene,
     PeerParameters,
-    Scene,
     compare_trackers,
     corners_of,
     load,
@@ -31,7 +31,7 @@ from graphtrack.evaluation.trackers import (
 )
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
-from graphtrack.simulation.crowd import Place, crowd
+from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.detector import Detector, detect
 from graphtrack.tracks.detections import Detections
 
@@ -40,13 +40,13 @@ NONE = np.empty(0, np.int64)
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene() -> DetectedScene:
     rng = np.random.default_rng(11)
     faults = Detector(missed=0.1, clutter=0.5)
     found = detect(crowd(rng, seconds=40.0), faults, position_std=0.1, rng=rng)
     table = found.anonymous(rng)
     position = np.column_stack([table["x"], table["y"]])
-    return Scene(Detections(table["frame"], table["t"], position), found.truth)
+    return DetectedScene(Detections(table["frame"], table["t"], position), found.truth)
 
 
 @dataclass
@@ -95,7 +95,7 @@ def ducks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "supervision", supervision)
 
 
-def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
+def test_our_trackers_find_most_and_the_offline_one_more(scene: DetectedScene) -> None:
     found = compare_trackers(scene.detections, scene.truth, OWN)
     assert [one.method for one in found.results] == ["online", "hungarian", "associate"], "online first"
     *online, offline = (one.score for one in found.results)
@@ -109,13 +109,13 @@ def test_our_trackers_find_most_and_the_offline_one_more(scene: Scene) -> None:
     json.dumps(found.to_dict())
 
 
-def test_figures_are_those_of_score(scene: Scene) -> None:
+def test_figures_are_those_of_score(scene: DetectedScene) -> None:
     method = make_tracker("hungarian", Model("joint"))
     (found,) = compare_trackers(scene.detections, scene.truth, [method], metres=0.7).results
     assert found.score == gt.score(method.run(scene.detections), scene.truth, metres=0.7).together
 
 
-def test_a_method_of_your_own_takes_part(scene: Scene) -> None:
+def test_a_method_of_your_own_takes_part(scene: DetectedScene) -> None:
     nobody = Method("nobody", True, "finds nobody", lambda detections: TrackSet(()))
     (found,) = compare_trackers(scene.detections, scene.truth, [nobody], fill=True).results
     assert found.score.idf1 == 0.0 and found.score.recall == 0.0
@@ -131,7 +131,7 @@ def test_detections_of_nobody_are_nobodys_tracks() -> None:
 
 
 @pytest.mark.parametrize("methods", [[], ["hungarian", "hungarian"], ["magic"]])
-def test_methods_that_are_none_are_refused(methods: list[str], scene: Scene) -> None:
+def test_methods_that_are_none_are_refused(methods: list[str], scene: DetectedScene) -> None:
     with pytest.raises(InputError, match="method"):
         compare_trackers(scene.detections, scene.truth, methods)
 
@@ -185,7 +185,7 @@ def test_a_peer_is_told_its_gap_in_frames_at_30_hz_and_the_rate(ducks: None) -> 
 
 
 def test_a_peer_that_is_not_installed_is_one_error_that_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, scene: Scene
+    monkeypatch: pytest.MonkeyPatch, scene: DetectedScene
 ) -> None:
     monkeypatch.setitem(sys.modules, "trackers", None)
     with pytest.raises(InputError) as told:
@@ -194,7 +194,7 @@ def test_a_peer_that_is_not_installed_is_one_error_that_says_what_to_install(
 
 
 @pytest.mark.parametrize("name", ["bytetrack", "ocsort"])
-def test_the_peers_themselves(name: str, scene: Scene) -> None:
+def test_the_peers_themselves(name: str, scene: DetectedScene) -> None:
     for module in ("trackers", "supervision"):
         pytest.importorskip(module, reason="the peers are an extra: see docs/tracking.md")
     found = compare_trackers(scene.detections, scene.truth, [name])
@@ -213,7 +213,7 @@ def test_tuning_climbs_to_the_best_and_passes_over_what_is_refused() -> None:
 
 
 def test_a_crowd_walks_as_the_place_says() -> None:
-    place = Place(stops=0.0, pairs=0.0)
+    place = CrossedArea(stops=0.0, pairs=0.0)
     people = crowd(np.random.default_rng(0), place=place, seconds=300.0)
     half = 0.5 * np.array([place.width, place.depth]) + 2.0
     speeds = []
@@ -227,7 +227,7 @@ def test_a_crowd_walks_as_the_place_says() -> None:
 
 
 def test_walkers_in_pairs_keep_side_by_side() -> None:
-    people = crowd(np.random.default_rng(1), place=Place(pairs=1.0), seconds=60.0).tracks
+    people = crowd(np.random.default_rng(1), place=CrossedArea(pairs=1.0), seconds=60.0).tracks
     apart = [
         float(np.median(np.linalg.norm(one.position - other.position, axis=1)))
         for one, other in zip(people[::2], people[1::2], strict=True)
