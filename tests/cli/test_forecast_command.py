@@ -16,9 +16,9 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.model import Model
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming import session
 from graphtrack.streaming.answers import EndedFrames
+from graphtrack.tracking import OnlineTracker
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
 
