@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
-    from graphtrack.smoothing import OnlineTracker, smooth, solve, track_online, warm_up
+    from graphtrack.smoothing import smooth, solve
+    from graphtrack.tracking import OnlineTracker, track_online, warm_up
     from graphtrack.tracks.scene import SceneParameters
     from graphtrack.tracks.track import ReadSummary, Track, TrackSet
     from graphtrack.viewer.shown import view
@@ -135,7 +136,8 @@ _HOMES = {
     "report.page": "write_report",
     "simulation.degrade": "add_noise",
     "simulation.sampling": "simulate",
-    "smoothing": "OnlineTracker smooth solve track_online warm_up",
+    "smoothing": "smooth solve",
+    "tracking": "OnlineTracker track_online warm_up",
     "tracks.scene": "SceneParameters",
     "tracks.track": "ReadSummary Track TrackSet",
     "viewer.shown": "view",

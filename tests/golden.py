@@ -24,7 +24,8 @@ from graphtrack.inference import Solution
 from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import LikelihoodParameters
-from graphtrack.smoothing import solve, track_online
+from graphtrack.smoothing import solve
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 PRESETS = ("position", "separate", "joint", "joint-intentional")

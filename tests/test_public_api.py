@@ -54,6 +54,7 @@ import graphtrack as gt
 from graphtrack import constants, inference, simulation
 import graphtrack.cli.commands
 
+graphtrack.cli.commands.program()
 track = gt.Track(0, np.arange(4), np.arange(4) * 0.1, np.zeros((4, 2)))
 gt.solve(track, "position", engine="chain")
 # SciPy itself comes with numba, but its slow modules do not.

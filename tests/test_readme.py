@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from documents import ROOT, blocks, commands, run
 
-from graphtrack.cli.commands import app as graphtrack_app
-from perception.cli.commands import app as perception_app
+from graphtrack.cli.commands import program as graphtrack_program
+from perception.cli.commands import program as perception_program
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = blocks("README.md")
@@ -44,7 +44,7 @@ def test_the_commands_run_from_top_to_bottom(names):
 
 
 def test_every_command_is_shown_in_readme_or_documentation():
-    programs = {"graphtrack": graphtrack_app, "perception": perception_app}
+    programs = {"graphtrack": graphtrack_program(), "perception": perception_program()}
     for name, app in programs.items():
         known = {command.name for command in app.registered_commands}
         found = {words[0] for words in commands(name, "README.md", *GUIDE)}

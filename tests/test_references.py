@@ -10,7 +10,7 @@ import nbformat
 import pytest
 from documents import ROOT
 
-from graphtrack.io.registry import FORMATS
+from graphtrack.io.registry import HOMES
 from graphtrack.model.model import presets
 
 NUMBER = re.compile(r"(?<![\d.,:#\w{])(?<!\d )00[0-4](?!\.\w|[\d\w]|[.,]\d)")
@@ -48,7 +48,7 @@ def test_every_paper_has_a_reference_that_pages_link_to(anchor):
 @pytest.mark.parametrize("page", ["CHANGELOG.md", "docs/formats.md"])
 def test_the_stated_number_of_formats_is_theirs(page):
     text = (ROOT / page).read_text(encoding="utf-8")
-    assert re.search(rf"\b{len(FORMATS)} (?:file )?formats", text)
+    assert re.search(rf"\b{len(HOMES)} (?:file )?formats", text)
     assert not re.search(r"\bten formats", text)
 
 

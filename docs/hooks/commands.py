@@ -9,10 +9,10 @@ import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from graphtrack.cli.commands import app as graphtrack_app
-from perception.cli.commands import app as perception_app
+from graphtrack.cli.commands import program as graphtrack_program
+from perception.cli.commands import program as perception_program
 
-PROGRAMS = {"graphtrack": graphtrack_app, "perception": perception_app}
+PROGRAMS = {"graphtrack": graphtrack_program(), "perception": perception_program()}
 MARKS = re.compile(r"[*_|<\\]")
 """What Markdown would take for more than itself."""
 

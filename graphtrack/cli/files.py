@@ -157,11 +157,11 @@ def describe(track: Track) -> dict[str, Any]:
 
 def formats() -> None:
     """List the file formats that can be read and written."""
-    from graphtrack.io import FORMATS
+    from graphtrack.io import all_formats
 
     rows = [
         {"format": one.name, "written": ", ".join(one.suffixes) if one.write else "", "what": one.description}
-        for one in FORMATS
+        for one in all_formats()
     ]
     print_table("Formats", rows)
 

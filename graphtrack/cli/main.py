@@ -28,7 +28,7 @@ def run(module: str, name: str) -> None:
 
     Parameters
     ----------
-    module : module with the program ``app``
+    module : module with the function ``program``
     name : name of the program
     """
     try:
@@ -36,8 +36,8 @@ def run(module: str, name: str) -> None:
         with ended_at_once():
             from graphtrack.cli.console import run_app
 
-            app = import_module(module).app
-        run_app(app, name)
+            program = import_module(module).program(next(iter(sys.argv[1:]), None))
+        run_app(program, name)
     except KeyboardInterrupt:
         _report_interrupt()
         raise SystemExit(INTERRUPTED) from None

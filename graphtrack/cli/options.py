@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial, reduce, wraps
+from importlib import import_module
 from operator import or_
 from pathlib import Path
 from typing import (
@@ -156,7 +157,7 @@ class MetricReading:
         paths : files with tracks, or folders of them
         model : a preset's name, or a model file
         """
-        from graphtrack.io.registry import companion_files
+        from graphtrack.io.format import companion_files
         from graphtrack.io.source import table_in
 
         paths, given = [table_in(path) for path in paths], self.given()
@@ -381,8 +382,14 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def program_of(name: str, about: str, commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
-    """Create a program of commands; ``--version`` prints the package version."""
+def program_of(name: str, about: str, commands: Mapping[str, str], wanted: str | None = None) -> typer.Typer:
+    """Create a program of commands; ``--version`` prints the package version.
+
+    Parameters
+    ----------
+    commands : name of a command → its ``module:function``
+    wanted : the only command to import; all, if it is none of them
+    """
     program = typer.Typer(
         name=name, help=about, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
     )
@@ -398,8 +405,11 @@ def program_of(name: str, about: str, commands: Mapping[str, Callable[..., None]
     ) -> None:
         pass
 
-    for command, function in commands.items():
-        program.command(command)(command_of(function))
+    for command, place in commands.items():
+        if wanted in commands and command != wanted:
+            continue
+        module, function = place.split(":")
+        program.command(command)(command_of(getattr(import_module(module), function)))
     return program
 
 

@@ -28,11 +28,11 @@ LARGE = 512 * 2**20
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
     """Return True if an input is streamed: on request, on a cluster, or a folder or large file."""
-    from graphtrack.io.formats.ros_bag import is_bag
+    from graphtrack.io.format import is_recording
 
     if asked is not None:
         return asked or cluster is not None
-    if cluster is not None or any(table_in(path).is_dir() and not is_bag(path) for path in inputs):
+    if cluster is not None or any(table_in(path).is_dir() and not is_recording(path) for path in inputs):
         return True
     if len(inputs) != 1 or not (_is_parquet(inputs[0]) and _is_parquet(output)):
         return False
@@ -302,13 +302,13 @@ def warm_up(
     large : What only large data sets need too.
     walls : Walls too, for --walkable.
     """
-    from graphtrack import smoothing
+    from graphtrack import tracking
     from graphtrack.machine_code import kept_files, machine_code_folder, why_not_kept
 
     if why_not_kept():
         raise InputError(f"no folder for machine code: {why_not_kept()}", "one in NUMBA_CACHE_DIR")
     start, before = time.perf_counter(), len(kept_files())
-    smoothing.warm_up(model, functions=functions, behaviour=behaviour, large=large, walkable=walls)
+    tracking.warm_up(model, functions=functions, behaviour=behaviour, large=large, walkable=walls)
     files = kept_files()
     size = sum(file.stat().st_size for file in files) / 2**20
     emit(

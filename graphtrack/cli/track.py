@@ -81,7 +81,7 @@ def track(
     from graphtrack.constants.personal import known_constants
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.model import Model
-    from graphtrack.smoothing import track_online
+    from graphtrack.tracking import track_online
 
     chosen = Model.named(model)
     kept = _seconds(lag)
@@ -180,7 +180,7 @@ def _track_detections(
     from graphtrack.association.tracker import track_rows
     from graphtrack.cli.console import print_summary
     from graphtrack.inference.engines import online_engine
-    from graphtrack.smoothing import OnlineTracker
+    from graphtrack.tracking import OnlineTracker
 
     tracker = OnlineTracker(
         model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable, constants=constants

@@ -186,7 +186,8 @@ def _direction_of(observation: Observation, name: str, parameters: Parameters) -
 class OnlineSmoother:
     """Track one person online.
 
-    The first call on a machine compiles, which takes about half a minute; see `warm_up`.
+    The first call on a machine compiles, which takes about half a minute; see `warm_up`. Copies, and what
+    `pickle` restores, continue to the same bits; with isam2 within its tolerances.
 
     Parameters
     ----------

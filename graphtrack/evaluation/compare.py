@@ -35,7 +35,8 @@ from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET
 from graphtrack.simulation.degrade import Occlusion, occlude
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.display import counted, html_table, listed
 from graphtrack.tracks.track import Track, TrackSet
 

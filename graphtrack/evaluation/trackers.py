@@ -34,7 +34,8 @@ from graphtrack.io.read_write import boxes_of_file, rows_of_file
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.detector import Detector, detect
-from graphtrack.smoothing import OnlineTracker, solve
+from graphtrack.smoothing import solve
+from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.detections import Detections, with_those_between
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet

@@ -46,7 +46,8 @@ from graphtrack.inference.engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import TURN_SECONDS, add_noise, occlude, turning, withhold
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 STEERED = "joint-intentional"

@@ -33,7 +33,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Parameters
 from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import add_noise
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 CONSTANT, GROWS, FALLS = "constant", "grows", "falls"

@@ -45,7 +45,8 @@ from graphtrack.model import Model
 from graphtrack.report.style import new_figure
 from graphtrack.simulation.degrade import add_class_likelihoods, add_noise, confusion_matrix
 from graphtrack.simulation.sampling import simulate
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 
 OPTIONS = {

@@ -48,7 +48,8 @@ from graphtrack.geometry.angles import (
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:

@@ -42,7 +42,8 @@ from graphtrack.model.terms.motion import (
     steered_step,
 )
 from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
-from graphtrack.smoothing import solve, track_online
+from graphtrack.smoothing import solve
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:

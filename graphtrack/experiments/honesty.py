@@ -34,7 +34,8 @@ from graphtrack.experiments.harness import (
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.simulation.degrade import add_noise
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 PRESETS = ("separate", "joint")

@@ -27,7 +27,8 @@ from graphtrack.experiments.harness import (
 from graphtrack.experiments.strangers import independent_walkers
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.simulation.crowd import StrollerParameters, strollers
-from graphtrack.smoothing import smooth, track_online
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 LEARNED, PEER, PRESETS = "learned", "filter", ("position", "separate", "joint")

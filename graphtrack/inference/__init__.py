@@ -2,6 +2,6 @@
 
 from graphtrack.inference.engines import Failure, Solution, SolverOptions
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.online import Estimate
+from graphtrack.inference.state import Estimate
 
 __all__ = ["Estimate", "Failure", "Solution", "SolverOptions", "smooth_track"]

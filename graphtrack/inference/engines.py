@@ -34,8 +34,6 @@ from graphtrack.inference.chain.initialisation import (
     problem_of,
 )
 from graphtrack.inference.chain.newton import workspace
-from graphtrack.inference.chain.window import ChainWindow
-from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.kernels.compilation import TRACK, Rehearsal, compile_for, make_ready
 from graphtrack.kernels.layout import Chain, N
 from graphtrack.model import Model, Observation, Step
@@ -513,6 +511,8 @@ def _solve(model: Model, *, in_lanes: bool = False) -> None:
 
 
 def _search(model: Model) -> None:
+    from graphtrack.inference.graph.chain_view import ChainView
+
     initial_states(TRACK, Model("position"))
     view, states = ChainView(model), np.zeros((len(TRACK), 6))
     view.follow(chain(TRACK), states, None)
@@ -520,6 +520,8 @@ def _search(model: Model) -> None:
 
 
 def _slide(model: Model) -> None:
+    from graphtrack.inference.chain.window import ChainWindow
+
     window, previous = ChainWindow(model, 0.15, 1e-8, 5), None
     for k, observation in enumerate(observations(TRACK)):
         step = Step(k, observation, previous, seconds_between(previous, observation), previous is None)

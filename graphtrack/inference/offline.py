@@ -28,7 +28,6 @@ from graphtrack.inference.engines import (
     make_solver_ready,
     not_finite,
 )
-from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
@@ -245,6 +244,8 @@ def _reach(packed: PackedTracks, model: Model) -> float:
 def _attempt_graph(
     track: Track, model: Model, *, camera: GroundCamera | None, options: SolverOptions
 ) -> Solution | Failure:
+    from graphtrack.inference.graph.batch import smooth_graph
+
     try:
         return smooth_graph(track, model, camera, options)
     except SolveError as error:

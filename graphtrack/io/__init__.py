@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from graphtrack.io.format import Format
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.read_write import read_identified, write
-    from graphtrack.io.registry import FORMATS
+    from graphtrack.io.registry import all_formats
 
-__all__ = ["FORMATS", "Format", "ReadOptions", "atomic_path", "read_identified", "write"]
+__all__ = ["Format", "ReadOptions", "all_formats", "atomic_path", "read_identified", "write"]
 
 __getattr__ = imported_names(
     __name__,
@@ -22,6 +22,6 @@ __getattr__ = imported_names(
         "format": "Format",
         "options": "ReadOptions",
         "read_write": "read_identified write",
-        "registry": "FORMATS",
+        "registry": "all_formats",
     },
 )

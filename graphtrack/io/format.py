@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -42,8 +42,6 @@ class Format:
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     write_columns : (columns of the table, path) → None; for tables, which may lack identities and need no
         ``write``
-    companions : paths relative to a file's folder of files that the reader uses, too; ``{name}`` stands for
-        the file's name
     is_read : False for formats that are only written
     takes : options of tables, fields of `ReadOptions`, that the reader itself handles
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
@@ -56,7 +54,6 @@ class Format:
     read: Callable[[Source, ReadOptions], Rows] | None = None
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
-    companions: tuple[str, ...] = ()
     is_read: bool = True
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
@@ -71,10 +68,31 @@ class Format:
         self.write_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
-def companion_paths(path: Path, places: Iterable[str]) -> tuple[Path, ...]:
-    """Return paths given relative to a file's folder; see `Format.companions`."""
+COMPANIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "mot": ("seqinfo.ini", "../seqinfo.ini"),  # a sequence's frame rate
+        "ucy": ("H.txt",),  # the data set's homography
+        "kitti": ("../oxts/{name}", "../calib/{name}"),  # ego motion and calibration
+        "towncentre": ("calibration.ci",),  # calibration of the camera
+    }
+)
+"""Name of a format → paths, relative to a file's folder, of files that its reader uses too.
+
+``{name}`` stands for the file's name.
+"""
+
+
+def companion_paths(path: Path, format: str) -> tuple[Path, ...]:
+    """Return the paths of a file's `COMPANIONS`, if it is of that format."""
     name = path.name.removesuffix(".gz")
+    places = COMPANIONS[format]
     return tuple(Path(os.path.normpath(path.parent / place.format(name=name))) for place in places)
+
+
+def companion_files(path: Path) -> tuple[Path, ...]:
+    """Return the companion files of ``path`` that a reader of some format would read with it."""
+    places = (place for format in COMPANIONS for place in companion_paths(path, format))
+    return tuple(place for place in places if place.is_file())
 
 
 _AMISS = 0.1  # tolerance of a time from that of its frame, in frames

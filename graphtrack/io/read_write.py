@@ -17,12 +17,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
 from graphtrack.io.cameras import place_pixels, read_homography
 from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
-from graphtrack.io.format import Format, is_recording, recognised
+from graphtrack.io.format import Format, companion_files, is_recording, recognised
 from graphtrack.io.formats.native import CSV
 from graphtrack.io.options import FileReading, Reading, ReadOptions
 from graphtrack.io.registry import (
-    FORMATS,
-    companion_files,
+    all_formats,
     detect,
     format_for_writing,
     format_named,
@@ -203,7 +202,7 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
     """Return the function that writes columns to a file of that name."""
     write = format_for_writing(path).write_columns
     if write is None:
-        names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
+        names = ", ".join(s for one in all_formats() if one.write_columns is not None for s in one.suffixes)
         found = f"a table without tracks, such as detections without identities, for {path.name}"
         raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
@@ -221,7 +220,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     rows = boxes_of_file(path, format, options)
     if rows is None:
         chosen = _chosen(_opened(path, options), format)
-        names = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
+        names = ", ".join(one.name for one in all_formats() if one.read_boxes is not None)
         found = f"the format {chosen.name}, which has no boxes"
         raise InputError(found, f"a format with boxes: {names}", path=path)
     check_identities(rows)
@@ -345,7 +344,7 @@ def write(
         raise InputError(f"a {type(tracks).__name__} to write", expected, path=path)
     chosen = format_for_writing(path) if format is None else format_named(format)
     if chosen.write is None:
-        names = ", ".join(one.name for one in FORMATS if one.write is not None)
+        names = ", ".join(one.name for one in all_formats() if one.write is not None)
         raise InputError(f"format {chosen.name!r}", f"a format that can be written: {names}")
     if homography is not None:
         matrix = read_homography(homography) if isinstance(homography, str | Path) else homography

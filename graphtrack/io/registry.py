@@ -1,29 +1,18 @@
 """List of formats, their detection, and hints to options that would read a table.
 
-A new format is a module with a constant of type `Format`, a line in `FORMATS` and one in
-`format.SIGNATURES`.
+A new format is a module with a constant of type `Format`, a line in `HOMES` and one in `format.SIGNATURES`.
 """
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 from graphtrack.errors import InputError
-from graphtrack.io.format import Format, companion_paths, recognised
-from graphtrack.io.formats.caviar import CAVIAR
-from graphtrack.io.formats.eth_ucy import ETH, TRAJNET, UCY
-from graphtrack.io.formats.kitti import KITTI
-from graphtrack.io.formats.mocap import MOCAP
-from graphtrack.io.formats.mot import COCO, MOT, MOT_2D
-from graphtrack.io.formats.movement import MOVEMENT
-from graphtrack.io.formats.native import CSV, PARQUET
-from graphtrack.io.formats.ndjson import NDJSON
-from graphtrack.io.formats.pedpy import JUPEDSIM, PEDPY
-from graphtrack.io.formats.ros_reading import BAG
-from graphtrack.io.formats.salsa import SALSA
-from graphtrack.io.formats.towncentre import TOWNCENTRE
-from graphtrack.io.libraries import GEOPACKAGE, GEOPARQUET
+from graphtrack.io.format import Format, recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import other_delimiter
 from graphtrack.tracks.time import is_iso
@@ -71,43 +60,48 @@ def names_columns(line: str) -> bool:
     return any(len(line.split() if mark == " " else line.split(mark)) >= _FEWEST for mark in ",;\t| ")
 
 
-FORMATS = (
-    BAG,
-    PARQUET,
-    GEOPACKAGE,
-    GEOPARQUET,
-    COCO,
-    TRAJNET,
-    NDJSON,
-    MOVEMENT,
-    JUPEDSIM,
-    MOCAP,
-    CSV,
-    CAVIAR,
-    UCY,
-    KITTI,
-    SALSA,
-    TOWNCENTRE,
-    PEDPY,
-    MOT_2D,
-    MOT,
-    ETH,
+HOMES: Mapping[str, str] = MappingProxyType(
+    {
+        "csv": "formats.native:CSV",
+        "parquet": "formats.native:PARQUET",
+        "bag": "formats.ros_reading:BAG",
+        "geopackage": "libraries:GEOPACKAGE",
+        "geoparquet": "libraries:GEOPARQUET",
+        "coco": "formats.mot:COCO",
+        "trajnet": "formats.eth_ucy:TRAJNET",
+        "ndjson": "formats.ndjson:NDJSON",
+        "movement": "formats.movement:MOVEMENT",
+        "jupedsim": "formats.pedpy:JUPEDSIM",
+        "mocap": "formats.mocap:MOCAP",
+        "caviar": "formats.caviar:CAVIAR",
+        "ucy": "formats.eth_ucy:UCY",
+        "kitti": "formats.kitti:KITTI",
+        "salsa": "formats.salsa:SALSA",
+        "towncentre": "formats.towncentre:TOWNCENTRE",
+        "pedpy": "formats.pedpy:PEDPY",
+        "mot2d": "formats.mot:MOT_2D",
+        "mot": "formats.mot:MOT",
+        "eth": "formats.eth_ucy:ETH",
+    }
 )
-"""All formats; `format.SIGNATURES` has the order in which they are tried."""
+"""Name of a format → its module and constant, which is imported when the format is used.
+
+The first one with the suffix of a file's name writes it; `format.SIGNATURES` has the order of reading.
+"""
 
 
-def companion_files(path: Path) -> tuple[Path, ...]:
-    """Return the companion files of ``path`` that a reader of some format would read with it."""
-    places = (place for known in FORMATS for place in companion_paths(path, known.companions))
-    return tuple(place for place in places if place.is_file())
+def all_formats() -> Iterator[Format]:
+    """Yield all formats, each imported when its turn comes."""
+    return map(format_named, HOMES)
 
 
 def format_named(name: str) -> Format:
     """Return the format of that name."""
-    for known in FORMATS:
-        if known.name == name:
-            return known
-    raise InputError(f"format {name!r}", "one of " + ", ".join(f.name for f in FORMATS))
+    if name not in HOMES:
+        raise InputError(f"format {name!r}", "one of " + ", ".join(HOMES))
+    module, constant = HOMES[name].split(":")
+    found: Format = getattr(import_module(f"graphtrack.io.{module}"), constant)
+    return found
 
 
 def detect(source: Source) -> Format:
@@ -118,7 +112,7 @@ def detect(source: Source) -> Format:
     # Unrecognised content: the reader of the file name's suffix gives the best message. The suffix ``.txt``
     # has no reader, since half of the formats use it.
     name = source.path.name.lower().removesuffix(".gz")
-    for candidate in FORMATS:
+    for candidate in all_formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
@@ -126,7 +120,7 @@ def detect(source: Source) -> Format:
     is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
-    known = ", ".join(f.name for f in FORMATS if f.is_read)
+    known = ", ".join(f.name for f in all_formats() if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
     raise source.fail("content of no known format", f"one of {known}{hint}")
@@ -135,9 +129,8 @@ def detect(source: Source) -> Format:
 def format_for_writing(path: Path) -> Format:
     """Return the format of a file name's suffix."""
     name = path.name.lower()
-    writable = [f for f in FORMATS if f.write is not None]
-    for candidate in writable:
-        if name.endswith(candidate.suffixes):
+    for candidate in all_formats():
+        if candidate.write is not None and name.endswith(candidate.suffixes):
             return candidate
-    endings = ", ".join(s for f in writable for s in f.suffixes)
+    endings = ", ".join(s for f in all_formats() if f.write is not None for s in f.suffixes)
     raise InputError(f"the file name {path.name!r}", f"one of the endings {endings}", path=path)

@@ -184,8 +184,8 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
         when += f", in {count} processes" if count > 1 else ""
         logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
     start = time.perf_counter()
-    for own, *others in rounds:
-        _compile_together(own, others)
+    for own, *elsewhere in rounds:
+        _compile_together(own, elsewhere)
     for one in waiting:
         _make_ready(one)
     if expected >= UNNOTICED:
@@ -219,8 +219,8 @@ def _help() -> None:
         _make_ready(one)
 
 
-def _compile_together(own: Sequence[Rehearsal], others: Sequence[Sequence[Rehearsal]]) -> None:
-    """Run rehearsals here, and others each in a process of its own, which keeps its machine code on disk.
+def _compile_together(own: Sequence[Rehearsal], elsewhere: Sequence[Sequence[Rehearsal]]) -> None:
+    """Run rehearsals here, and lists of rehearsals each in a process that keeps its code on disk.
 
     What a process fails to compile, this one compiles when it runs the same rehearsal.
     """
@@ -231,7 +231,7 @@ def _compile_together(own: Sequence[Rehearsal], others: Sequence[Sequence[Rehear
     silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     helpers: list[subprocess.Popen[bytes]] = []
     try:
-        for some in others:
+        for some in elsewhere:
             # A script's own objects may not be importable, and a process may not start.
             with contextlib.suppress(OSError, pickle.PicklingError, AttributeError, TypeError):
                 text = pickle.dumps(some)

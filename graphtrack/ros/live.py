@@ -23,7 +23,7 @@ from graphtrack.io.formats.ros_reading import TOGETHER, GroundFrame, Humans, Tra
 from graphtrack.io.formats.ros_writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
-from graphtrack.smoothing import OnlineTracker
+from graphtrack.tracking import OnlineTracker
 
 _GONE = 5.0  # seconds without observation after which a named person is dropped
 

@@ -28,9 +28,9 @@ from graphtrack.interaction.people import Numbers, People, Place, numbers_of, pe
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import Saved
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
+from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 FRAMES = "frames"
@@ -321,8 +321,6 @@ class TrackAnswers(Answering):
         answers: list[dict[str, Any]] = []
         if is_earlier:
             answers += self.finish()
-            for key in self.members:
-                self.before_change(key)
             self.clock.last_row.clear()
             self.members = self._of_scene()
         for track_id, observation in rows:
@@ -340,7 +338,6 @@ class TrackAnswers(Answering):
         if gone := self.clock.forget(self._bounds.forget_after):
             self._take_waiting()
             for one in gone:
-                self.before_change(one)
                 self._commons.leave(self.members.pop(one).learner)
         if track_id in self._waiting or track_id not in self.members:
             self._take_waiting()
@@ -352,7 +349,6 @@ class TrackAnswers(Answering):
         self._commons.inform(smoother.learner)
         self.clock.mark(track_id)
         if CONVERSATIONS in self.members:
-            self.before_change(CONVERSATIONS)
             observation = self.members[CONVERSATIONS].observed(track_id, observation)
         self._waiting[track_id] = _Waiting(smoother, observation, answers)
         if CONVERSATIONS in self.members or track_id not in self.members:
@@ -363,8 +359,6 @@ class TrackAnswers(Answering):
         if not self._waiting:
             return
         waiting, self._waiting = self._waiting, {}
-        for track_id in waiting:
-            self.before_change(track_id)
         estimates = OnlineSmoother.update_together(
             [one.smoother for one in waiting.values()], [one.observation for one in waiting.values()]
         )
@@ -381,7 +375,6 @@ class TrackAnswers(Answering):
             self.members[CONVERSATIONS].estimated(track_id, estimate)
         if FRAMES not in self.members:
             return []
-        self.before_change(FRAMES)
         frames: EndedFrames = self.members[FRAMES]
         return frames.take(track_id, observation, estimate)
 
@@ -403,7 +396,6 @@ class TrackAnswers(Answering):
         """Return the answers at the end of input: those of the last frame."""
         if FRAMES not in self.members:
             return []
-        self.before_change(FRAMES)
         frames: EndedFrames = self.members[FRAMES]
         return frames.finish()
 
@@ -525,7 +517,6 @@ class Scenes(Answering):
         """Return the answers at the end of input: those of the unfinished frames."""
         rows = []
         for name in self.members:
-            self.before_change(name)
             rows += self._flush(name)
         return rows
 
@@ -558,7 +549,6 @@ class Scenes(Answering):
                 raise InputError(f"one more than {MOST_DETECTIONS} detections", "a later time", column="t")
         if verdict == "plausible":
             frame.tracker.check_time(one.t)
-        self.before_change(name)
         self._see(name, frame, None if verdict == "unconfirmed" else one.t)
         if verdict == "unconfirmed":
             self.note_unconfirmed(one.t, frame.clock)
@@ -631,7 +621,6 @@ class Scenes(Answering):
         longest = self._bounds.forget_after + TIME_TOLERANCE
         while newest.elapsed - next(iter(self.members.values())).elapsed > longest:
             name, frame = next(iter(self.members.items()))
-            self.before_change(name)
             rows += self._flush(name)
             newest.numbered = max(newest.numbered, frame.tracker.next_number - 1)
             del self.members[name]

@@ -81,7 +81,6 @@ class Answering:
     ----------
     members : key → member, such as the smoother of a person
     rows, line : rows answered, and the line of the last of them, from 1
-    before_change : called with a key before its member changes
     """
 
     def __init__(
@@ -95,7 +94,6 @@ class Answering:
         self._has_noted_jump = False
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
-        self.before_change: Callable[[Any], None] = lambda key: None
 
     @property
     def count(self) -> int:

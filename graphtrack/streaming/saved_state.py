@@ -1,26 +1,22 @@
-"""State file of ``graphtrack track - --state``: a snapshot at one row, and all rows since.
+"""State file of ``graphtrack track - --state``: a snapshot at one row, and all rows since, in SQLite.
 
-The first line has a fixed length: the format's version, the number of bytes that were flushed to the disk,
-and the digest of the file up to there; it is updated in place after each flush. Every further line is a JSON
-value after the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
-from another file is detected, as is a file that ends before the last flush. Lines are appended one by one; a
-new content replaces the old one atomically, and lines that are appended meanwhile go to both. `Saving` keeps
-a stream of rows in such a file, and resumes it.
+A row is committed before it is answered: it survives a crash of the process at once, and a failure of the
+power or the system once a thread has written SQLite's write-ahead log to the disk, every few seconds. The
+states of a snapshot are added one by one, among the rows, and replace the earlier ones in one transaction.
+Every text is stored with a digest of its place and itself, and SQLite checks its own structure, so that
+damage is detected. `Saving` keeps a stream of rows in such a file, and resumes it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import os
-import queue
-import re
-import shutil
+import sqlite3
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
@@ -37,13 +33,20 @@ from graphtrack.model import Model
 from graphtrack.saved import count, damaged
 from graphtrack.streaming.protocol import Answering
 
-VERSION = 5
-"""Version of the format and of the meaning of its lines."""
+VERSION = 6
+"""Version of the format and of the meaning of its texts; up to 5 it was a text file."""
 
-_MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
-_MARK_LENGTH = 76
-_BEGINNING = b"graphtrack-state "
-_DIGEST_LENGTH = 32
+_APPLICATION = 0x47547374  # "GTst", where SQLite files name their application
+_SQLITE, _TEXT_FORMAT = b"SQLite format 3\0", b"graphtrack-state "
+_HEADER, _MEMBER, _ROWS = range(3)
+"""Kinds of entries: the header of a snapshot, with the number of its members and the place of the first row
+since; the state of a member; and rows, whose snapshot is 0."""
+
+_TABLE = """
+CREATE TABLE entry (
+    kind INTEGER, snapshot INTEGER, place INTEGER, text BLOB, digest BLOB, PRIMARY KEY (kind, snapshot, place)
+)
+"""
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
 _REMEDY = "the file as it was written; without the file a stream starts from scratch"
 
@@ -58,70 +61,18 @@ class StateInUse(InputError):
         return type(self), (self.path,)
 
 
-def line_of(value: Any) -> bytes:
-    """Return a JSON-able value as the text of a line."""
-    return encoded(value).encode()
-
-
-class _Content:
-    """An open file that ends with a given digest.
-
-    Parameters
-    ----------
-    file : unbuffered, to read and write
-    digest : of all text in it
-    length : bytes, the first line included
-    has_rest : the file is longer; the next `append` cuts off the rest
-    """
-
-    def __init__(
-        self, file: io.FileIO, digest: Any = None, length: int = _MARK_LENGTH, has_rest: bool = False
-    ) -> None:
-        self.file, self.length, self._has_rest = file, length, has_rest
-        self._digest = blake2b(digest_size=_DIGEST_LENGTH // 2) if digest is None else digest
-        self._mutex = threading.Lock()  # `flush` writes from another thread
-
-    def append(self, texts: Iterable[bytes]) -> None:
-        """Append lines, all of them or none."""
-        digest, lines = self._digest.copy(), []
-        for text in texts:
-            digest.update(text)
-            lines.append(b"%s %s\n" % (digest.hexdigest().encode(), text))
-        data = b"".join(lines)
-        with self._mutex:
-            if self._has_rest:
-                self.file.truncate(self.length)
-            self._has_rest = True  # unless all is written
-            _write(self.file, data, self.length)
-            self._has_rest = False
-        self._digest, self.length = digest, self.length + len(data)
-
-    def mark(self) -> bytes:
-        """Return the first line for the current content."""
-        return b"graphtrack-state %04d %020d %s\n" % (VERSION, self.length, self._digest.hexdigest().encode())
-
-    def flush(self, mark: bytes) -> None:
-        """Flush the file to the disk, and then record that in the first line."""
-        os.fsync(self.file.fileno())
-        with self._mutex:
-            _write(self.file, mark, 0)
-
-
 class StateFile:
     """A state file locked by this process, until it is closed or the process ends.
-
-    Added lines survive a crash of the process at once, and a power or system failure after ``every``
-    seconds, the interval at which a thread flushes the file to the disk.
 
     Parameters
     ----------
     path : the file; the first `replace` creates it
-    every : seconds
+    every : seconds after which rows survive a failure of the power
 
     Attributes
     ----------
-    entries : values of the file, one a line; empty for a new file. An incomplete last line that was never
-        flushed, as after a power failure, is left out; the first `append` cuts it off.
+    entries : values of the file: the header of the snapshot, the members, and the rows since; empty for a new
+        file
 
     Raises
     ------
@@ -131,191 +82,191 @@ class StateFile:
     """
 
     def __init__(self, path: Path, every: float) -> None:
-        self.path, self._every = path, every
-        self._final, self._new = _paths(path)
-        try:
+        self.path, self._final = path, Path(os.path.realpath(path))
+        self._new = self._final.with_name(self._final.name + ".new")
+        self._snapshot = self._members = self._rows = self._cut = 0
+        self._database: sqlite3.Connection | None = None
+        with self._as_input_error():
             self._lock = _locked(path)
-        except OSError as error:
-            raise self._failure(error) from error
+        self._stopped = threading.Event()
+        self._error: sqlite3.Error | None = None
+        self._thread = threading.Thread(target=self._flush, args=(every,), name="state file", daemon=True)
         try:
-            self.entries, self._content = self._read()
-        except BaseException as error:
+            with self._as_input_error():
+                self._new.unlink(missing_ok=True)  # of a process that was killed
+                self.entries = self._read()
+                self._database = _opened(self._final) if self.entries else None
+        except BaseException:
             _unlock(self._lock)
-            if isinstance(error, OSError):
-                raise self._failure(error) from error
             raise
-        self._mutex = threading.Lock()
-        self._since: list[bytes] | None = None
-        self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
-        self._idle = threading.Event()
-        self._idle.set()
-        self._error: OSError | None = None
-        self._unsynced = False
-        self._thread = threading.Thread(target=self._tend, name="state file", daemon=True)
         self._thread.start()
 
-    @property
-    def is_replacing(self) -> bool:
-        """Return True if a new content is still being written."""
-        return not self._idle.is_set()
-
     def append(self, value: Any) -> None:
-        """Add a line.
+        """Add rows.
 
         Raises
         ------
         InputError
-            If that failed, or if flushing or replacing failed since the last call.
+            If that failed, or if flushing failed since the last call.
         """
-        text = line_of(value)
-        with self._mutex:
-            try:
-                self._raise()
-                if self._content is not None:
-                    self._content.append([text])
-            except OSError as error:
-                raise self._failure(error) from error
-            self._unsynced = True
-            if self._since is not None:
-                self._since.append(text)
+        with self._as_input_error():
+            if self._error is not None:
+                raise self._error
+            if self._database is not None:
+                self._add(_ROWS, self._rows, value)
+                self._rows += 1
 
-    def mark(self) -> None:
-        """Mark the position from which lines also follow the next new content."""
-        with self._mutex:
-            self._since = []
+    def begin(self) -> None:
+        """Begin a snapshot of the present: `add` its members, and then `replace` the last one.
 
-    def replace(self, texts: list[bytes]) -> None:
-        """Begin to write a new content, lines of `line_of`, of the state at the `mark`."""
-        self._idle.clear()
-        self._jobs.put(texts)
-
-    def wait(self) -> None:
-        """Wait until the new content is in place.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written.
+        Errors as for `append`.
         """
-        self._idle.wait()
-        try:
-            self._raise()
-        except OSError as error:
-            raise self._failure(error) from error
+        self._snapshot, self._members, self._cut = self._snapshot + 1, 0, self._rows
+        with self._as_input_error():
+            # One may have begun in a process that was killed.
+            self._created().execute(
+                "DELETE FROM entry WHERE kind = ? AND snapshot = ?", (_MEMBER, self._snapshot)
+            )
+
+    def add(self, value: Any) -> None:
+        """Add a member's state to the snapshot that has begun; errors as for `append`."""
+        with self._as_input_error():
+            self._add(_MEMBER, self._members, value)
+            self._members += 1
+
+    def replace(self, header: Any) -> None:
+        """End the snapshot that has begun: it takes the place of the last one; errors as for `append`."""
+        with self._as_input_error(), self._created() as database:  # a transaction
+            database.execute("BEGIN IMMEDIATE")
+            self._add(_HEADER, 0, [self._members, self._cut, header])
+            database.execute(
+                "DELETE FROM entry WHERE kind != ? AND snapshot < ? OR kind = ? AND place < ?",
+                (_ROWS, self._snapshot, _ROWS, self._cut),
+            )
 
     def close(self) -> None:
-        """Close the file and unlock it, without changing it."""
-        self._jobs.put(None)
+        """Close the file and unlock it, without changing its contents."""
+        self._stopped.set()
         self._thread.join()
-        if self._content is not None:
-            self._content.file.close()
+        if self._database is not None:
+            with contextlib.suppress(sqlite3.Error):  # the last rows stay in the write-ahead log
+                self._database.close()
         _unlock(self._lock)
 
-    # -- the file ------------------------------------------------------------------------------------------
-
-    def _read(self) -> tuple[list[Any], _Content | None]:
-        """Return the values of the file, and the file open for appending; None if it does not exist."""
-        if not self._final.exists():
-            return [], None
-        if not self._final.is_file():
-            found = "a folder" if self._final.is_dir() else "a device"
-            raise InputError(found, "the path of a file", path=self.path)
-        with self._final.open("rb") as stream:
-            first = stream.read(_MARK_LENGTH)
-            mark = _MARK.fullmatch(first)
-            if mark is None:
-                raise InputError("no saved state", _EXPECTED, path=self.path)
-            version = int(mark[1])
-            if version != VERSION:
-                expected = f"version {VERSION}; without the file a stream starts from scratch"
-                raise InputError(f"a state of version {version}", expected, path=self.path)
-            flushed, size = int(mark[2]), os.fstat(stream.fileno()).st_size
-            if size < flushed:
-                found = f"a file that was cut off ({size} of at least {flushed} bytes)"
-                raise InputError(found, _REMEDY, path=self.path)
-            entries, digest = [], blake2b(digest_size=_DIGEST_LENGTH // 2)
-            length, is_confirmed = _MARK_LENGTH, False
-            for number, line in enumerate(stream, 2):
-                if not line.endswith(b"\n"):
-                    break  # an unflushed line, cut off by a power failure
-                digest.update(line[_DIGEST_LENGTH + 1 : -1])
-                is_sound = line[: _DIGEST_LENGTH + 1] == digest.hexdigest().encode() + b" "
-                length += len(line)
-                if length == flushed:
-                    is_confirmed = digest.hexdigest().encode() == mark[3]
-                    is_sound = is_sound and is_confirmed
-                try:
-                    if not is_sound:
-                        raise ValueError("another digest")
-                    entries.append(json.loads(line[_DIGEST_LENGTH + 1 :]))
-                except (ValueError, RecursionError) as error:
-                    found = "a damaged line (it does not follow from those before it)"
-                    raise InputError(found, _REMEDY, path=self.path, line=number) from error
-        if not entries or not is_confirmed:
-            raise InputError("a damaged state (its lines do not fit the first one)", _REMEDY, path=self.path)
-        self._new.unlink(missing_ok=True)
-        return entries, _Content(io.FileIO(self._final, "r+"), digest, length, size > length)
-
-    def _tend(self) -> None:
-        """Write new contents and flush periodically, in the thread."""
-        is_last = False
-        while True:
-            try:
-                lines = self._jobs.get(timeout=self._every)
-            except queue.Empty:
-                lines = []
-            if lines is None:
-                lines, is_last = [], True
-            try:
-                if lines:
-                    self._rewrite(lines)
-                self._flush()
-            except OSError as error:
-                self._error = error
-            if lines:
-                self._idle.set()
-            if is_last:
-                return
-
-    def _flush(self) -> None:
-        with self._mutex:
-            if not self._unsynced or self._content is None:
-                return
-            self._unsynced, content = False, self._content
-            mark = content.mark()
-        content.flush(mark)
-
-    def _rewrite(self, texts: list[bytes]) -> None:
-        content = _Content(io.FileIO(self._new, "w+"))
-        if self._content is not None:
-            shutil.copymode(self._final, self._new)
-        content.append(texts)
-        _write(content.file, content.mark(), 0)
-        os.fsync(content.file.fileno())
-        with self._mutex:
-            content.append(self._since or ())
-            self._since = None
-            # Windows does not rename open files.
-            kept = self._content
-            for one in (content, kept):
-                if one is not None:
-                    one.file.close()
-            try:
+    def _created(self) -> sqlite3.Connection:
+        """Return the connection; a new file appears whole, without entries."""
+        if self._database is None:
+            if not self._final.exists():
+                with contextlib.closing(sqlite3.connect(self._new, isolation_level=None)) as database:
+                    database.execute(f"PRAGMA application_id = {_APPLICATION}")
+                    database.execute(f"PRAGMA user_version = {VERSION}")
+                    database.execute(_TABLE)
                 self._new.replace(self._final)
-                kept = content
-            finally:
-                if kept is not None:
-                    kept.file = io.FileIO(self._final, "r+")
-                self._content = kept
-            self._unsynced = True
-        flush_entry(self._final.parent)
+                flush_entry(self._final.parent)
+            self._database = _opened(self._final)
+        return self._database
 
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
+    def _add(self, kind: int, place: int, value: Any) -> None:
+        assert self._database is not None
+        snapshot, text = 0 if kind == _ROWS else self._snapshot, encoded(value).encode()
+        entry = (kind, snapshot, place, text, _digest(kind, snapshot, place, text))
+        self._database.execute("INSERT INTO entry VALUES (?, ?, ?, ?, ?)", entry)
 
-    def _failure(self, error: OSError) -> InputError:
-        return InputError(f"{error.strerror or error}", "a file that can be written to", path=self.path)
+    def _read(self) -> list[Any]:
+        """Return the values of the file; none if it does not exist, or was being created."""
+        if not self._final.exists():
+            return []
+        _check_kind(self._final, self.path)
+        database: sqlite3.Connection | None = None
+        try:
+            database = _opened(self._final)
+            problem = database.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if problem != "ok":
+                raise sqlite3.DatabaseError(problem)
+            return self._entries_of(database)
+        except (sqlite3.DatabaseError, ValueError, RecursionError, TypeError) as error:
+            if isinstance(error, sqlite3.OperationalError):
+                raise
+            raise InputError(f"a damaged state ({error})", _REMEDY, path=self.path) from error
+        finally:
+            if database is not None:
+                database.close()
+
+    def _entries_of(self, database: sqlite3.Connection) -> list[Any]:
+        def values(kind: int, snapshot: int, first: int) -> list[Any]:
+            command = "SELECT place, text, digest FROM entry WHERE kind = ? AND snapshot = ? ORDER BY place"
+            found: list[Any] = []
+            for place, text, digest in database.execute(command, (kind, snapshot)):
+                if place != first + len(found) or digest != _digest(kind, snapshot, place, text):
+                    raise ValueError(f"entry {place} of kind {kind} is not what was written")
+                found.append(json.loads(text))
+            return found
+
+        snapshots = database.execute("SELECT snapshot FROM entry WHERE kind = ?", (_HEADER,)).fetchall()
+        if not snapshots and database.execute("SELECT count(*) FROM entry").fetchone() == (0,):
+            return []  # the process was killed before the first content
+        ((self._snapshot,),) = snapshots
+        ((members, first_row, header),) = values(_HEADER, self._snapshot, 0)
+        found, rows = values(_MEMBER, self._snapshot, 0), values(_ROWS, 0, first_row)
+        if len(found) != members:
+            raise ValueError(f"{len(found)} of {members} members")
+        self._rows = first_row + len(rows)
+        return [header, *found, *rows]
+
+    def _flush(self, every: float) -> None:
+        """Write the write-ahead log to the disk periodically, in the thread."""
+        database: sqlite3.Connection | None = None
+        while not self._stopped.wait(every):
+            try:
+                if database is None and self._database is not None:
+                    database = _opened(self._final)
+                if database is not None:
+                    database.execute("PRAGMA wal_checkpoint(PASSIVE)")
+            except sqlite3.Error as error:
+                self._error = error
+        if database is not None:
+            database.close()
+
+    @contextmanager
+    def _as_input_error(self) -> Iterator[None]:
+        """Raise errors of the file as an `InputError`."""
+        try:
+            yield
+        except (OSError, sqlite3.Error) as error:
+            found = getattr(error, "strerror", None) or str(error)
+            raise InputError(found, "a file that can be written to", path=self.path) from error
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    """Return a connection; rows are committed one by one, and written to the disk by checkpoints."""
+    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA synchronous = NORMAL")
+    database.execute("PRAGMA wal_autocheckpoint = 0")
+    return database
+
+
+def _digest(kind: int, snapshot: int, place: int, text: bytes) -> bytes:
+    return blake2b(b"%d %d %d " % (kind, snapshot, place) + text, digest_size=16).digest()
+
+
+def _check_kind(final: Path, path: Path) -> None:
+    """Raise InputError for anything but a state file of this version."""
+    if not final.is_file():
+        found = "a folder" if final.is_dir() else "a device"
+        raise InputError(found, "the path of a file", path=path)
+    with final.open("rb") as stream:
+        head = stream.read(100)
+    version = None
+    if head.startswith(_TEXT_FORMAT):
+        version = head[len(_TEXT_FORMAT) :][:4].decode("ascii", "replace").lstrip("0")
+    elif head.startswith(_SQLITE) and int.from_bytes(head[68:72]) == _APPLICATION:
+        version = str(int.from_bytes(head[60:64]))
+    if version is None:
+        raise InputError("no saved state", _EXPECTED, path=path)
+    if version != str(VERSION):
+        expected = f"version {VERSION}; without the file a stream starts from scratch"
+        raise InputError(f"a state of version {version}", expected, path=path)
 
 
 def remove(path: Path) -> bool:
@@ -330,7 +281,7 @@ def remove(path: Path) -> bool:
     OSError
         If it cannot be deleted.
     """
-    final, new = _paths(path)
+    final = Path(os.path.realpath(path))
     if not final.parent.is_dir():
         return False
     lock = _locked(path)
@@ -340,25 +291,20 @@ def remove(path: Path) -> bool:
         if not final.is_file():
             raise InputError("no file", _EXPECTED, path=path)
         with final.open("rb") as stream:  # a link may lead to any file
-            if stream.read(len(_BEGINNING)) != _BEGINNING:
-                raise InputError("no saved state", _EXPECTED, path=path)
-        final.unlink()
-        new.unlink(missing_ok=True)
+            head = stream.read(100)
+        if not (head.startswith(_TEXT_FORMAT) or int.from_bytes(head[68:72]) == _APPLICATION):
+            raise InputError("no saved state", _EXPECTED, path=path)
+        for ending in ("", "-wal", "-shm"):
+            final.with_name(final.name + ending).unlink(missing_ok=True)
         path.unlink(missing_ok=True)  # a link
         return True
     finally:
         _unlock(lock)
 
 
-def _paths(path: Path) -> tuple[Path, Path]:
-    """Return the file of a path after links, and its temporary successor."""
-    final = Path(os.path.realpath(path))
-    return final, final.with_name(final.name + ".new")
-
-
 def _locked(path: Path) -> FileLock:
     """Lock of a state file: a hidden file next to it while a process holds it."""
-    final, _ = _paths(path)
+    final = Path(os.path.realpath(path))
     lock = FileLock(final.with_name(f".{final.name}.lock"), timeout=0, thread_local=False)
     try:
         lock.acquire()
@@ -373,19 +319,12 @@ def _unlock(lock: FileLock) -> None:
     lock.release()
 
 
-def _write(file: io.FileIO, data: bytes, at: int) -> None:
-    file.seek(at)
-    while data:
-        data = data[file.write(data) :]
-
-
 class Saving:
     """Keeps a stream in a state file: periodic snapshots of all people, and every row.
 
-    A row is in the file before it is answered, so that a resumed run knows every answered row. A snapshot is
-    of all people at one row, but is written one person at a time while rows continue: the state of a person
-    who is about to change is copied first. Streams that begin together are written at different times,
-    derived from their files' names.
+    A row is in the file before it is answered, so that a resumed run knows every answered row. A snapshot
+    copies all people at one row, and is written one person at a time while rows continue. Streams that begin
+    together are written at different times, derived from their files' names.
 
     Parameters
     ----------
@@ -412,10 +351,8 @@ class Saving:
         self._file, self._people, self._settings = file, people, settings
         self._every, self._clock = every, clock
         self._due = clock() + (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
-        self._changed: set[Any] = set()
-        self._packed: dict[Any, bytes] = {}
-        self._left: dict[Any, Callable[[], Any] | None] | None = None
-        people.before_change = self._before_change
+        self._left: list[tuple[Any, Callable[[], Any]]] | None = None
+        self._header: dict[str, Any] = {}
         if file.entries:
             with self._naming_the_file():
                 _check_settings(_header_of(file.entries)["settings"], settings)
@@ -456,12 +393,13 @@ class Saving:
             people.rows, people.line = header["rows"], header["line"]
             people.restore_shared(header["shared"])
             first_row = 1 + header["people"]
+            known = set()
             for entry in entries[1:first_row]:
                 track_id, state = _member_of(entry)
-                if track_id in self._packed:
+                if track_id in known:
                     raise ValueError(f"two states of {track_id!r}")
+                known.add(track_id)
                 people.members[track_id] = restore(track_id, state)
-                self._packed[track_id] = line_of(entry)
             for entry in entries[first_row:]:
                 rows = _rows_of(entry, people.rows, people.line)
                 if not rows:  # the input ended there, and all answers were given
@@ -479,13 +417,10 @@ class Saving:
         self._file.append(rows if len(rows) > 1 else rows[0])
 
     def tend(self) -> None:
-        """Do the work due after an answer: pack one more person, or begin the next snapshot."""
+        """Do the work due after an answer: write one more person, or begin the next snapshot."""
         if self._left is not None:
-            if self._left:
-                self._pack(next(iter(self._left)))
-            else:
-                self._hand_over()
-        elif self._every is not None and self._clock() >= self._due and not self._file.is_replacing:
+            self._write_next()
+        elif self._every is not None and self._clock() >= self._due:
             self._due = self._clock() + self._every
             self._begin()
 
@@ -497,12 +432,9 @@ class Saving:
             self._write_all()
 
     def _write_all(self) -> None:
-        self._file.wait()
         self._begin()
-        for track_id in list(self._left or ()):
-            self._pack(track_id)
-        self._hand_over()
-        self._file.wait()
+        while self._left is not None:
+            self._write_next()
 
     @contextmanager
     def _naming_the_file(self) -> Iterator[None]:
@@ -516,39 +448,33 @@ class Saving:
 
     def _begin(self) -> None:
         people = self._people
-        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._packed))
-        self._left = {track_id: None for track_id in people.members if track_id in due}
-        self._changed.clear()
-        self._members = list(people.members)
-        self._header = line_of(
-            {
-                "settings": self._settings,
-                "rows": people.rows,
-                "line": people.line,
-                "people": len(self._members),
-                "shared": people.shared_state(),
-            }
-        )
-        self._file.mark()
+        left = [(key, _copied(member)) for key, member in people.members.items()]
+        self._header = {
+            "settings": self._settings,
+            "rows": people.rows,
+            "line": people.line,
+            "people": len(left),
+            "shared": people.shared_state(),
+        }
+        self._left = left[::-1]
+        self._file.begin()
 
-    def _pack(self, track_id: Any) -> None:
-        assert self._left is not None
-        state = self._left.pop(track_id) or self._people.members[track_id].state
-        self._packed[track_id] = line_of({"track_id": track_id, "state": state()})
+    def _write_next(self) -> None:
+        """Write one member, or after the last one the header."""
+        if self._left:
+            key, state = self._left.pop()
+            self._file.add({"track_id": key, "state": state()})
+        else:
+            self._left = None
+            self._file.replace(self._header)
 
-    def _hand_over(self) -> None:
-        self._left = None
-        self._packed = {track_id: self._packed[track_id] for track_id in self._members}
-        self._file.replace([self._header, *self._packed.values()])
 
-    def _before_change(self, track_id: Any) -> None:
-        if self._left is not None and track_id in self._left and self._left[track_id] is None:
-            member = self._people.members[track_id]
-            if isinstance(member, OnlineSmoother):
-                self._left[track_id] = member.later_state()
-            else:
-                self._pack(track_id)
-        self._changed.add(track_id)
+def _copied(member: Any) -> Callable[[], Any]:
+    """Return a function of the present state of a member, computed later where that is possible."""
+    if isinstance(member, OnlineSmoother):
+        return member.later_state()
+    state = member.state()
+    return lambda: state
 
 
 def _header_of(entries: list[Any]) -> dict[str, Any]:

@@ -34,7 +34,6 @@ from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.model.given import EVIDENCE, unused_columns
 from graphtrack.model.terms.walls import StaysInside
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import (
     FRAMES,
     Asked,
@@ -47,6 +46,7 @@ from graphtrack.streaming.answers import (
 )
 from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
 from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
+from graphtrack.tracking import OnlineTracker
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""

@@ -324,7 +324,7 @@ class DirectionModel:
     observed: NDArray[np.bool_]
 
     def log_likelihoods(self, features: NDArray[np.float32], sign: NDArray[np.float32]) -> FloatArray:
-        """Calibrated (n, 8), of features (n, d) and with `View.sign` (d,) of the mirror images too."""
+        """Calibrated (n, 8), of features (n, d) and with `ModelInput.sign` (d,) of the mirror images too."""
         scores = _of_both(features, sign, self.weight, self.bias)
         return calibrated(scores, self.temperature, self.share, self.observed)
 
@@ -371,7 +371,7 @@ def fit_directions(
     Parameters
     ----------
     features : (n, d)
-    sign : (d,) as `View.sign`
+    sign : (d,) as `ModelInput.sign`
     angle : (n,) radians in the image frame
     person, fold : (n,) as from `folds_of`
     """
@@ -418,7 +418,7 @@ def _honest(
 class DiscriminantStatistics:
     """Sufficient statistics of a linear discriminant; people are held out by subtraction.
 
-    Mirror images are included, so that features of different `View.sign` are uncorrelated.
+    Mirror images are included, so that features of different `ModelInput.sign` are uncorrelated.
 
     Attributes
     ----------

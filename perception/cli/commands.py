@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from graphtrack.cli.options import program_of
-from perception.cli.adapt import adapt, calibrate
-from perception.cli.evaluate import evaluate
-from perception.cli.follow import follow
-from perception.cli.observe import observe
-from perception.cli.report import report
-from perception.cli.train import card, simulate, train
+import typer
 
-app = program_of(
-    "perception",
-    "From video to the observations that graphtrack smooths.",
-    {
-        "adapt": adapt,
-        "calibrate": calibrate,
-        "report": report,
-        "observe": observe,
-        "follow": follow,
-        "simulate": simulate,
-        "train": train,
-        "evaluate": evaluate,
-        "card": card,
-    },
-)
+from graphtrack.cli.options import program_of
+
+COMMANDS = {
+    "adapt": "perception.cli.adapt:adapt",
+    "calibrate": "perception.cli.adapt:calibrate",
+    "report": "perception.cli.report:report",
+    "observe": "perception.cli.observe:observe",
+    "follow": "perception.cli.follow:follow",
+    "simulate": "perception.cli.train:simulate",
+    "train": "perception.cli.train:train",
+    "evaluate": "perception.cli.evaluate:evaluate",
+    "card": "perception.cli.train:card",
+}
+"""Name of a command → its module and function."""
+
+
+def program(command: str | None = None) -> typer.Typer:
+    """Return the program: with one command alone, whose modules load faster, or with all."""
+    return program_of(
+        "perception", "From video to the observations that graphtrack smooths.", COMMANDS, command
+    )

@@ -18,7 +18,7 @@ from graphtrack.io.formats.mot import FROM_ZERO, MOT, SHIFTED
 from graphtrack.io.libraries import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import boxes_of_file
-from graphtrack.io.registry import FORMATS
+from graphtrack.io.registry import all_formats
 from graphtrack.tracks.table import Rows, check_rows
 from perception.images.pixels import intersection_over_union
 from perception.pose.keypoints import (
@@ -87,7 +87,7 @@ def read_boxes(
     """
     rows = boxes_of_file(path, None, ReadOptions())
     if rows is None:
-        formats = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
+        formats = ", ".join(one.name for one in all_formats() if one.read_boxes is not None)
         raise InputError("a format without boxes", f"one of {formats}", path=path)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:

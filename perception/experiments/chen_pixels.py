@@ -47,7 +47,7 @@ from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 from perception.drawing.overlays import Cues, draw_cues
 from perception.images.pixels import Image

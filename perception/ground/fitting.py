@@ -83,7 +83,7 @@ def box_heights(vector: FloatArray, feet: FloatArray, radius: float = RADIUS) ->
 
     Parameters
     ----------
-    vector : (4,) as `View.from_vector` takes it
+    vector : (4,) as `PinholeView.from_vector` takes it
     feet : (n, 2) pixels from the image's centre
     radius : of people, in their heights
     """
@@ -120,7 +120,7 @@ class CameraFit:
 
     Attributes
     ----------
-    vector, covariance : (4,) and (4, 4) of `View.from_vector`
+    vector, covariance : (4,) and (4, 4) of `PinholeView.from_vector`
     error : 1-σ of the logarithm of a box's height
     deviation : 1-σ of the logarithm of a person's height
     inliers : share of boxes within three sigma

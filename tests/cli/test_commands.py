@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import graphtrack as gt
-from graphtrack.cli.commands import app
+from graphtrack.cli.commands import program
 from graphtrack.cli.console import WIDE, column_widths, print_table, printable, shown_number
 from graphtrack.cli.options import command_of
 from graphtrack.tracks.track import Track, TrackSet
@@ -64,7 +64,7 @@ def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
 
 @pytest.mark.parametrize("program", ["graphtrack", "perception"])
 def test_every_option_has_a_text_in_the_help(program):
-    group = typer.main.get_command(import_module(f"{program}.cli.commands").app)
+    group = typer.main.get_command(import_module(f"{program}.cli.commands").program())
     without = {
         f"{name} {one.name}"
         for name, each in group.commands.items()
@@ -113,7 +113,7 @@ def test_info_s_speed_is_that_of_the_path_and_not_of_its_noise(speed: float, tmp
     """From frame to frame 10 cm of noise at 10 Hz are 1.8 m/s."""
     gt.write(walker(speed, 0.1), tmp_path / "noisy.csv")
     out = tmp_path / "info.json"
-    result = CliRunner().invoke(app, ["info", str(tmp_path / "noisy.csv"), "--json", str(out)])
+    result = CliRunner().invoke(program(), ["info", str(tmp_path / "noisy.csv"), "--json", str(out)])
     assert result.exit_code == 0, result.output
     assert json.loads(out.read_text())[0]["speed_m_s"] == pytest.approx(speed, abs=0.15)
 
@@ -121,7 +121,9 @@ def test_info_s_speed_is_that_of_the_path_and_not_of_its_noise(speed: float, tmp
 def test_info_knows_no_speed_of_a_single_frame(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("track_id,frame,t,x,y\n1,0,0.0,1.0,2.0\n", encoding="utf-8")
     out = tmp_path / "info.json"
-    assert CliRunner().invoke(app, ["info", str(tmp_path / "one.csv"), "--json", str(out)]).exit_code == 0
+    assert (
+        CliRunner().invoke(program(), ["info", str(tmp_path / "one.csv"), "--json", str(out)]).exit_code == 0
+    )
     assert json.loads(out.read_text())[0]["speed_m_s"] is None
 
 
@@ -135,7 +137,7 @@ def test_compare_learns_the_noise_that_the_file_misstates(tmp_path: Path) -> Non
         out = tmp_path / f"{trust}.json"
         arguments = ["compare", str(tmp_path / "tracks.csv"), "--methods", "kf", "--model", "position"]
         arguments += ["--trust", trust]
-        result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
+        result = CliRunner().invoke(program(), [*arguments, "--json", str(out)])
         assert result.exit_code == 0, result.output
         nees.append(json.loads(out.read_text())["calibration"][0]["nees"])
     assert nees[0] > 10.0 and nees[1] < 2.0
@@ -146,9 +148,9 @@ def test_compare_asks_for_a_model_where_the_noise_to_learn_is_the_model_s(tmp_pa
     truth = np.column_stack([1.2 * track.t, np.zeros(200)])
     gt.write(walker(1.2, 0.5, true_position=truth), tmp_path / "tracks.csv")
     arguments = ["compare", str(tmp_path / "tracks.csv"), "--methods", "kf,chain", "--trust", "learn"]
-    result = CliRunner().invoke(app, arguments)
+    result = CliRunner().invoke(program(), arguments)
     assert isinstance(result.exception, gt.InputError) and "--model" in str(result.exception)
-    assert CliRunner().invoke(app, [*arguments, "--model", "position"]).exit_code == 0
+    assert CliRunner().invoke(program(), [*arguments, "--model", "position"]).exit_code == 0
 
 
 LABEL = "\x1b[31mred\x1b[0m\x07 [bold]b[/x] :smile: \x1b]0;title\x9c"

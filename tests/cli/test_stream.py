@@ -13,10 +13,10 @@ from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Observation
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import Scenes, TrackAnswers
 from graphtrack.streaming.protocol import LONGEST_LINE, StreamNames, estimate_row, with_first_row
 from graphtrack.streaming.session import lines_of
+from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.scene import SceneParameters
 
 

@@ -13,9 +13,9 @@ from command import Done, run
 import graphtrack as gt
 from graphtrack.interaction.people import Place
 from graphtrack.model import Model
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import Asked, Scenes, TrackAnswers
 from graphtrack.streaming.session import Answers
+from graphtrack.tracking import OnlineTracker
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]

@@ -141,7 +141,7 @@ def test_tables_for_a_pipe_are_not_cut(here):
 def numeric_options():
     """Return the program, command and name of every option that takes a number with a fraction."""
     for program in ("graphtrack", "perception"):
-        app = import_module(f"{program}.cli.commands").app
+        app = import_module(f"{program}.cli.commands").program()
         for one in app.registered_commands:
             for parameter in inspect.signature(one.callback).parameters.values():
                 kind, info, *_ = get_args(parameter.annotation)

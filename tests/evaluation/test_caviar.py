@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from walks import walk
 
 from graphtrack.baselines.intentional import IntentionalParameters
-from graphtrack.cli.commands import app
+from graphtrack.cli.commands import program
 from graphtrack.experiments import EXPERIMENTS, Settings
 from graphtrack.experiments.baxter_caviar import (
     CONTROLS,
@@ -147,7 +147,7 @@ def test_every_method_predicts_the_same_frames() -> None:
 
 def test_without_recordings_it_says_so(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
-    result = CliRunner().invoke(app, ["reproduce", "baxter-caviar", "--out", "found"])
+    result = CliRunner().invoke(program(), ["reproduce", "baxter-caviar", "--out", "found"])
     assert result.exit_code == 0, result.output
     said = " ".join(result.output.split())
     assert "recordings are missing" in said and "--data" in said and "proves nothing" not in said

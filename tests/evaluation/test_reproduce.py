@@ -14,7 +14,7 @@ from walks import walk, without
 
 from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
 from graphtrack.baselines.kalman import filter_states, kalman_filter
-from graphtrack.cli.commands import app
+from graphtrack.cli.commands import program
 from graphtrack.errors import InputError
 from graphtrack.evaluation.metrics import bootstrap, deviation, mean_difference, reduction
 from graphtrack.experiments import Settings, Table, all_experiments
@@ -34,7 +34,7 @@ from graphtrack.experiments.harness import (
 )
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import TrackSet
 
 
@@ -251,7 +251,7 @@ def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPat
     for name in ("first", "again"):
         arguments = ["reproduce", "baxter-statistics", "--quick", "--seed", "3"]
         arguments += ["--out", name, "--json", f"{name}/tables.json"]
-        result = CliRunner().invoke(app, arguments)
+        result = CliRunner().invoke(program(), arguments)
         assert result.exit_code == 0, result.output
         assert (cwd / name / "baxter-statistics.png").stat().st_size > 10_000
         tables.append(json.loads((cwd / name / "tables.json").read_text(encoding="utf-8")))

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import graphtrack as gt
 from graphtrack import Track
-from graphtrack.cli.commands import app
+from graphtrack.cli.commands import program
 from graphtrack.tracks.track import TrackSet
 
 SPREAD = np.array([0.1, 0.2, 0.3, 0.3, np.radians(10.0), np.radians(20.0)])
@@ -163,7 +163,7 @@ def test_the_command_prints_and_writes_them(tmp_path: Path) -> None:
     gt.write(truth, tmp_path / "truth.csv")
     out = tmp_path / "score.json"
     arguments = ["score", str(tmp_path / "smoothed.csv"), "--truth", str(tmp_path / "truth.csv")]
-    result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
+    result = CliRunner().invoke(program(), [*arguments, "--json", str(out)])
     assert result.exit_code == 0, result.output
     assert "95 % covers" in result.output and "NEES" in result.output
     states = json.loads(out.read_text())["states"]

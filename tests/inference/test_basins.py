@@ -21,7 +21,8 @@ from graphtrack.kernels.layout import Chain
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.simulation.degrade import add_class_likelihoods
-from graphtrack.smoothing import solve, track_online
+from graphtrack.smoothing import solve
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 SETTLED = 1.5

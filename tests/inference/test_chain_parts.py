@@ -26,7 +26,7 @@ from graphtrack.kernels.layout import BODY, HEAD, Chain, Problem, Sums
 from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.observation import observations
 from graphtrack.model.program import add_frame
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 
 
 def chain_of(problem: Problem, n: int) -> Chain:

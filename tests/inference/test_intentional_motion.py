@@ -23,7 +23,7 @@ from graphtrack.io import read_identified
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise, occlude, withhold
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)

@@ -24,7 +24,7 @@ from graphtrack.model import Model, Observation, States, Step, Term, custom_fact
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
 from graphtrack.saved import packed
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)

@@ -24,9 +24,9 @@ from graphtrack.io.groups import read_groups
 from graphtrack.model import Model, Observation
 from graphtrack.model.model import default_parameters
 from graphtrack.simulation.scenario import Party, party
-from graphtrack.smoothing import OnlineTracker
 from graphtrack.streaming.answers import TrackAnswers
 from graphtrack.streaming.session import Answers
+from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.track import Track, TrackSet
 
 SOCIAL = Model("social")

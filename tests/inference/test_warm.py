@@ -26,7 +26,8 @@ from graphtrack.interaction.people import people_at
 from graphtrack.learning.fit import TruthLikelihood
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.scenario import party
-from graphtrack.smoothing import WARMED, smooth, track_online, warm_up
+from graphtrack.smoothing import smooth
+from graphtrack.tracking import WARMED, track_online, warm_up
 from graphtrack.tracks.track import TrackSet
 
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))

@@ -21,7 +21,7 @@ from graphtrack.io.cameras import read_calibration
 from graphtrack.io.format import SIGNATURES
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.read_write import rows_of_file
-from graphtrack.io.registry import FORMATS
+from graphtrack.io.registry import HOMES, all_formats
 from graphtrack.io.source import HEAD_BYTES, mostly
 from graphtrack.tracks.table import Rows
 
@@ -54,7 +54,8 @@ def test_a_line_that_the_head_cuts_does_not_hide_the_format() -> None:
 
 
 def test_every_format_that_is_read_has_a_signature() -> None:
-    assert {one.name for one in FORMATS if one.is_read} == {*SIGNATURES, "bag"}
+    assert {one.name for one in all_formats() if one.is_read} == {*SIGNATURES, "bag"}
+    assert [one.name for one in all_formats()] == [*HOMES]
 
 
 def test_frame_rates_of_eth_follow_the_step_of_its_frames_and_of_mot_seqinfo(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.terms.motion import Motion
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 

@@ -38,7 +38,7 @@ from graphtrack.io.formats.ros_bag import (
     TRANSFORMS,
 )
 from graphtrack.ros.live import Live
-from graphtrack.smoothing import track_online
+from graphtrack.tracking import track_online
 
 
 class FakeNode:

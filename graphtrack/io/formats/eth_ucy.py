@@ -78,9 +78,6 @@ _OBSTACLES = re.compile(r"\s*\d{1,9}.*number of (line|cylinder) obstacles", re.A
 _INTEGERS = {"frame"}
 
 
-_COMPANIONS = ("H.txt",)  # the data set's homography
-
-
 @dataclass(frozen=True)
 class _ControlPoint:
     spline: int
@@ -120,7 +117,7 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        (found,) = companion_paths(source.path, _COMPANIONS)
+        (found,) = companion_paths(source.path, "ucy")
         if found.is_file():
             given, notes = found, ("homography from H.txt next to the file",)
         elif options.metres_per_pixel is None:
@@ -226,7 +223,6 @@ UCY = Format(
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
     read=_read_ucy,
-    companions=_COMPANIONS,
 )
 
 

@@ -30,10 +30,6 @@ _OXTS_COLUMNS = 30
 _EARTH_RADIUS = 6378137.0  # metres; as in the devkit, the WGS 84 ellipsoid at the equator
 
 
-COMPANIONS = ("../oxts/{name}", "../calib/{name}")
-"""Ego motion and calibration: files of the labels' name in sibling folders."""
-
-
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read positions and headings in an east-north-up world with its origin at the first ego pose.
 
@@ -57,7 +53,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         row = int(kept[np.argmax(identity[kept] < 0)])
         raise labels.fail(row, 1, "an id from 0: these are detections without identity")
     notes: list[str] = []
-    of_motion, of_sensors = companion_paths(source.path.absolute(), COMPANIONS)
+    of_motion, of_sensors = companion_paths(source.path.absolute(), "kitti")
     oxts = _given_or_companion(of_motion, "oxts", options.oxts, source.path, notes)
     calibration = _given_or_companion(
         of_sensors, "ego_calibration", options.ego_calibration, source.path, notes
@@ -155,5 +151,4 @@ KITTI = Format(
     description="KITTI tracking labels with ego motion and calibration",
     suffixes=(),
     read=read,
-    companions=COMPANIONS,
 )

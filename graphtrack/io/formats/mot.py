@@ -67,10 +67,6 @@ SHIFTED = "frames are those of the table from which it was written, numbered fro
 """Note on a file with that mark in all rows."""
 
 
-COMPANIONS = ("seqinfo.ini", "../seqinfo.ini")
-"""The file with a sequence's frame rate."""
-
-
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes with ids, and positions where the file has them.
 
@@ -167,7 +163,7 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
     if options.fps is not None:
         return options.fps, ()
-    for info in companion_paths(path, COMPANIONS):
+    for info in companion_paths(path, "mot"):
         if info.is_file():
             text = Source.open(info).text
             rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
@@ -255,7 +251,6 @@ MOT = Format(
     suffixes=(".txt",),
     read=read,
     write=write,
-    companions=COMPANIONS,
     read_boxes=read_boxes,
 )
 

@@ -19,10 +19,6 @@ FPS = 25.0
 _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
-COMPANIONS = ("calibration.ci",)
-"""Calibration of the camera."""
-
-
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and project their bottom centres to the ground.
 
@@ -50,7 +46,7 @@ def _camera(
     source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
 ) -> tuple[GroundCamera, tuple[str, ...]]:
     camera, notes = known_camera(options, pixel)
-    (found,) = companion_paths(source.path, COMPANIONS)
+    (found,) = companion_paths(source.path, "towncentre")
     if camera is None and options.metres_per_pixel is None and found.is_file():
         camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
     if camera is None:
@@ -75,6 +71,5 @@ TOWNCENTRE = Format(
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
     read=read,
-    companions=COMPANIONS,
     read_boxes=read_boxes,
 )
