@@ -71,8 +71,15 @@ def velocity_nees(estimate: Track, truth: Track, velocity: FloatArray | None = N
     return _plane_nees(estimate.velocity - known, estimate.covariance[:, 2:4, 2:4])
 
 
+def without_unknown_correlations(covariance: FloatArray) -> FloatArray:
+    """Return covariances (..., 2, 2), those of tables as uncorrelated: these have the deviations alone."""
+    known = np.isfinite(covariance[..., 0, 0]) & np.isfinite(covariance[..., 1, 1])
+    unknown = known & np.isnan(covariance[..., 0, 1])
+    return np.where(unknown[..., None, None] & np.isnan(covariance), 0.0, covariance)
+
+
 def _plane_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    found = np.full(len(error), np.nan)
+    found, covariance = np.full(len(error), np.nan), without_unknown_correlations(covariance)
     determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] * covariance[:, 1, 0]
     with np.errstate(invalid="ignore"):
         # Particle paths that share an ancestor have a covariance of rank 1 or 0.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri
 
+from graphtrack.evaluation.metrics import without_unknown_correlations
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, VELOCITY_COLOUR
 
@@ -104,9 +105,10 @@ def probability_ellipse(covariance: FloatArray, probability: float = 0.95) -> El
 
     Parameters
     ----------
-    covariance : (..., 2, 2) square metres; NaN gives a NaN ellipse
+    covariance : (..., 2, 2) square metres; NaN gives a NaN ellipse, an unknown correlation is none
     probability : between 0 and 1
     """
+    covariance = without_unknown_correlations(covariance)
     xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     # Closed form: unlike an eigenvalue routine it takes NaN and needs no loop.
     middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)

@@ -28,7 +28,6 @@ from graphtrack.tracks.schema import (
 from graphtrack.tracks.time import Plane, TimeScale
 from graphtrack.tracks.validation import (
     SHAPES,
-    STATE,
     TEXT,
     bounds_of,
     is_text,
@@ -534,19 +533,7 @@ def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
             cells = cells**2
         place: tuple[Any, ...] = (..., *column.index)
         channels[column.field][place] = cells
-    if "covariance" in channels:
-        channels["covariance"] = _diagonal(channels["covariance"])
     return channels
-
-
-def _diagonal(covariance: FloatArray) -> FloatArray:
-    """Set correlations between quantities with a variance to zero; the rest stays NaN."""
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
-    known = np.isfinite(variance)
-    result = np.where(known[:, :, None] & known[:, None, :], 0.0, np.nan)
-    state = np.arange(len(STATE))
-    result[:, state, state] = variance
-    return result
 
 
 def _labels(

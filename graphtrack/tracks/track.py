@@ -85,7 +85,8 @@ class Track:
         associated; NaN: not observed
     observed : (n,) 1 where the frame was observed, 0 where association left a gap
     velocity : (n, 2) metres a second (estimates)
-    covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
+    covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated, and
+        where a correlation is unknown: tables have deviations alone
     true_position, true_body, true_head : the truth, where it is known
     label : a readable name, such as the clip
     inputs : name → (n,) or (n, k) further known values in each frame that a term of the model reads, such as

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 from walks import walk
 
-from graphtrack import Track
+from graphtrack import Track, read, smooth, write
 from graphtrack.cli import main
 from graphtrack.evaluation.compare import compare
 from graphtrack.evaluation.metrics import (
@@ -30,7 +31,7 @@ from graphtrack.evaluation.metrics import (
 )
 from graphtrack.geometry.angles import wrap
 from graphtrack.report.plots import plot_reliability
-from graphtrack.report.style import NEUTRAL_COLOUR
+from graphtrack.report.style import NEUTRAL_COLOUR, probability_ellipse
 from graphtrack.tracks.track import TrackSet
 
 
@@ -83,6 +84,23 @@ def test_angular_error_is_in_degrees_and_the_short_way_around() -> None:
     variance = np.tile(np.diag([1.0] * 5 + [np.radians(2.0) ** 2]), (2, 1, 1))
     nees = angle_nees(replace(estimate, covariance=variance), truth, "head")
     np.testing.assert_allclose(nees, [1.0, 9.0])
+
+
+def test_estimates_of_a_table_have_deviations_and_unknown_correlations(tmp_path: Path) -> None:
+    """Their NEES and ellipses are those of independent axes."""
+    smoothed = smooth(walk(20, seed=1), "joint", constants="default")
+    write(TrackSet([smoothed]), tmp_path / "a.csv")
+    (found,) = read(tmp_path / "a.csv")
+    assert found.covariance is not None and smoothed.covariance is not None
+    for name in ("x", "vy", "body", "head"):
+        np.testing.assert_allclose(found.std(name), smoothed.std(name), rtol=1e-6)
+    apart = ~np.eye(6, dtype=bool)
+    assert np.isnan(found.covariance[:, apart]).all() and np.isfinite(found.covariance[:, ~apart]).all()
+    error = found.position - smoothed.true_position
+    expected = (error**2 / np.diagonal(found.covariance, axis1=1, axis2=2)[:, :2]).sum(axis=1)
+    np.testing.assert_allclose(position_nees(found, smoothed), expected)
+    ellipse = probability_ellipse(found.covariance[:, :2, :2])
+    assert np.isfinite(ellipse.semi_major).all()
 
 
 def test_position_nees_by_hand() -> None:
