@@ -122,22 +122,22 @@ def dependencies(path: Path) -> set[Path]:
 
 
 def _imported(path: Path) -> set[Path]:
-    """Return the modules of the packages that a source file imports."""
+    """Return the modules of the packages that a source file imports; some may not exist."""
     found = set[Path]()
     for module, names in _IMPORTS.findall(_source(path)):
         place = _PACKAGES.joinpath(*module.decode().split("."))
-        found |= {
-            place.with_suffix(".py"),
-            *(place / f"{name}.py" for name in re.findall(r"\w+", names.decode())),
-        }
-    return {one for one in found if one.is_file()}
+        if _source(place.with_suffix(".py")):
+            found.add(place.with_suffix(".py"))
+        else:
+            found |= {place / f"{name}.py" for name in re.findall(r"\w+", names.decode())}
+    return found
 
 
 @cache
 def _source(path: Path) -> bytes:
     try:
         return path.read_bytes()
-    except OSError:  # of a function from the prompt
+    except OSError:  # a package, or a function from the prompt
         return b""
 
 

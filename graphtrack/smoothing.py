@@ -7,7 +7,7 @@ model that has them), and solve with an engine.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
@@ -19,6 +19,7 @@ from graphtrack.constants.personal import Constants, is_learned, population_of, 
 from graphtrack.constants.population import Population
 from graphtrack.errors import InputWarning, SolveError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
 from graphtrack.inference.chain.batch import fit_lanes
 from graphtrack.inference.engines import (
@@ -86,7 +87,7 @@ def solve(
     model = Model.named(model)
     solver = engine_of(model, engine)
     given = tracks_of(tracks, scene=model.scene)
-    make_smoothing_ready(given, model, solver, constants, trust)
+    make_smoothing_ready(model, solver, given.camera, fit_lanes(given.tracks, model), constants, trust)
     given, model, verdict = trusted(given, model, trust, constants)
     for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
@@ -184,7 +185,8 @@ def _with_learned(
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
     known = population_of(constants)
-    make_smoothing_ready(tracks, model, engine, constants, n_frames=options.get("n_frames"))
+    in_lanes = fit_lanes(tracks.tracks, model, options.get("n_frames"))
+    make_smoothing_ready(model, engine, tracks.camera, in_lanes, constants)
 
     def smoothed(
         some: TrackSet, model: Model, own: Mapping[str, FloatArray], done: Progress | None
@@ -195,17 +197,16 @@ def _with_learned(
 
 
 def make_smoothing_ready(
-    tracks: TrackSet,
     model: Model,
     engine: OfflineEngine,
-    constants: Constants | None = None,
+    camera: GroundCamera | None,
+    in_lanes: Collection[bool],
+    constants: Constants | None,
     trust: Trust = "declared",
-    n_frames: int | None = None,
 ) -> None:
-    """Compile, or load, the solver and the filters that smoothing calls; arguments as in `solve_tracks`."""
+    """Compile, or load, the solver of `make_solver_ready` and the filters that smoothing calls."""
     needs_filters = trust != "declared" or is_learned(constants, model)
-    in_lanes = fit_lanes(tracks.tracks, model, n_frames) or [False]
-    make_solver_ready(model, engine, tracks.camera, in_lanes, *[filters.REHEARSAL] * needs_filters)
+    make_solver_ready(model, engine, camera, in_lanes or (False,), *[filters.REHEARSAL] * needs_filters)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:

@@ -106,12 +106,12 @@ def _associate(dataset: Dataset, output: Path, read_options: ReadOptions, option
 
 def _smooth_tracks(dataset: Dataset, output: Path, **options: Any) -> None:
     from graphtrack.inference.chain.batch import is_large
-    from graphtrack.inference.engines import make_solver_ready
     from graphtrack.scale import smooth_dataset
+    from graphtrack.smoothing import make_smoothing_ready
 
     if options["cluster"] in (None, "local"):
         in_lanes = (is_large(options["model"], dataset.n_rows),)
-        make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
+        make_smoothing_ready(options["model"], options["engine"], None, in_lanes, options["constants"])
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)
@@ -178,6 +178,7 @@ def smooth(
     )
     from graphtrack.constants.declared import trusted
     from graphtrack.geometry.walkable import WalkableArea
+    from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
     from graphtrack.smoothing import make_smoothing_ready, solve_tracks
@@ -217,7 +218,7 @@ def smooth(
     if resample is not None:
         tracks = with_times_at(tracks, resample)
     trust = trust or "check"
-    make_smoothing_ready(tracks, chosen, solver, constants, trust)
+    make_smoothing_ready(chosen, solver, tracks.camera, fit_lanes(tracks.tracks, chosen), constants, trust)
     observed, chosen, verdict = trusted(tracks, chosen, trust, constants)
     for line in verdict:
         emit(f"  note: {line}")

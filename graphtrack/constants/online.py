@@ -236,7 +236,6 @@ class OnlineSmoother:
         chosen = Model.named(model)
         learns = is_learned(constants, chosen)
         if learns:
-            make_ready("the learned constants", ONLINE_REHEARSAL)
             # Whether the positions have gross errors is not known beforehand.
             chosen = with_robust_loss(chosen)
         self._options: dict[str, Any] = {
@@ -250,7 +249,9 @@ class OnlineSmoother:
         }
         prior = (population_of(constants) if learns else None) or Population()
         self.learner = Learner(chosen, prior) if learns else None
-        first = OnlineSolver(chosen, **self._options)
+        first = OnlineSolver(chosen, **self._options, further=[ONLINE_REHEARSAL] * learns)
+        if learns:
+            make_ready("the learned constants", ONLINE_REHEARSAL)
         self._given: dict[str, Any] = {"model": model, "constants": constants, **self._options}
         self.model, self.engine = Model.named(model), first.engine
         self.lag, self.camera = first.lag, first.camera

@@ -402,11 +402,10 @@ def make_solver_ready(
     make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete), *further)
 
 
-def make_online_ready(model: Model, engine: OnlineEngine) -> None:
+def make_online_ready(model: Model, engine: OnlineEngine, *further: Rehearsal) -> None:
     """Compile, or load, the functions of a compiled window, or those of GTSAM's online engines."""
-    make_ready(
-        "the online solver", _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
-    )
+    solver = _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model)
+    make_ready("the online solver", solver, *further)
 
 
 def has_own_kernels(model: Model) -> bool:

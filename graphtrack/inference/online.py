@@ -47,6 +47,7 @@ from graphtrack.inference.state import (
     unpack_observation,
     unpack_state,
 )
+from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
 from graphtrack.model.observation import OwnParameters, differs, seconds_between
@@ -124,6 +125,7 @@ class OnlineSolver:
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
         than this (metres, m/s, radians); the default mostly takes one or two steps, without larger errors
     max_iterations : most steps for an observation
+    further : compiled with the functions of the chain, where these are not compiled yet
     """
 
     def __init__(
@@ -137,6 +139,7 @@ class OnlineSolver:
         relinearize_threshold: float = 0.05,
         step_tolerance: float = 0.05,
         max_iterations: int = 20,
+        further: Sequence[Rehearsal] = (),
     ) -> None:
         if not (is_number(relinearize_threshold) and relinearize_threshold > 0.0):
             raise InputError(f"relinearize_threshold = {relinearize_threshold!r}", "a positive number")
@@ -156,7 +159,7 @@ class OnlineSolver:
         self.camera = camera
         self._smoother: ChainWindow | GraphSmoother
         if self.engine == "chain":
-            make_online_ready(self.model, self.engine)
+            make_online_ready(self.model, self.engine, *further)
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
             ends = step_tolerance, max_iterations

@@ -60,7 +60,9 @@ _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 
 _CACHE_DIR = threading.Lock()  # Held while numba's cache folder is changed
 
-_KEPT: list[Any] = []  # Declared functions whose machine code is kept
+_KEPT = dict[Any, None]()  # Declared functions whose machine code is kept
+
+_FOLDERS = dict[tuple[str, str], Path | None]()  # Folder of a source file, for numba's setting
 
 
 def compiled(function: Function, **options: bool) -> Function:
@@ -112,13 +114,8 @@ def _kept(function: Function, **options: Any) -> Function:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("compilation disabled by NUMBA_DISABLE_JIT", expected)
     found = numba.njit(**options)(function)
-    if machine_code_folder() is not None:
-        try:
-            _keep([found])
-        except RuntimeError:  # of a function without a file: from the prompt, or `exec`
-            pass
-        else:
-            _KEPT.append(found)
+    with contextlib.suppress(RuntimeError):  # of a function without a file: from the prompt, or `exec`
+        _keep([found])
     return cast(Function, found)
 
 
@@ -127,11 +124,15 @@ def _keep(functions: Sequence[Any]) -> None:
     # Numba reads the setting when caching is enabled.
     with _CACHE_DIR:
         given = numba.config.CACHE_DIR
-        folders = [folder_of(function.py_func.__code__.co_filename) for function in functions]
+        sources = {function.py_func.__code__.co_filename for function in functions}
+        for key in {(source, given) for source in sources}.difference(_FOLDERS):
+            _FOLDERS[key] = folder_of(key[0])
         try:
-            for function, folder in zip(functions, folders, strict=True):
-                numba.config.CACHE_DIR = str(folder)
-                function.enable_caching()
+            for function in functions:
+                if (folder := _FOLDERS[function.py_func.__code__.co_filename, given]) is not None:
+                    numba.config.CACHE_DIR = str(folder)
+                    function.enable_caching()
+                    _KEPT.setdefault(function)
         finally:
             numba.config.CACHE_DIR = given
 
@@ -291,7 +292,8 @@ def _replace_kept_code(error: Exception, *, damaged: bool) -> None:
         return
     logger.warning("machine code in %s cannot be used (%s): compiling for this process …", folder, reason)
     use_own_folder()
-    _keep(_KEPT)
+    _FOLDERS.clear()
+    _keep(list(_KEPT))
 
 
 def is_of_kept_code(error: Exception) -> bool:

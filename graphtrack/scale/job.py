@@ -17,7 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.batch import is_large
-from graphtrack.inference.engines import OfflineEngine, engine_of, make_solver_ready
+from graphtrack.inference.engines import OfflineEngine, engine_of
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
@@ -25,7 +25,7 @@ from graphtrack.model import Model
 from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch, tracks_of_batch
-from graphtrack.smoothing import learn_constants
+from graphtrack.smoothing import learn_constants, make_smoothing_ready
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import in_order
 from graphtrack.tracks.table import check_names
@@ -137,7 +137,7 @@ def smooth_dataset(
     if cluster in (None, "local"):
         # Once for all processes of this machine.
         in_lanes = (is_large(work.model, work.n_frames),)
-        make_solver_ready(work.model, work.engine, read_options.camera, in_lanes)
+        make_smoothing_ready(work.model, work.engine, read_options.camera, in_lanes, constants)
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

@@ -19,8 +19,9 @@ import numpy as np
 
 from graphtrack.association.offline import make_association_ready
 from graphtrack.constants.commons import commons_of
+from graphtrack.constants.filters import ONLINE_REHEARSAL
 from graphtrack.constants.online import OnlineSmoother
-from graphtrack.constants.personal import Known
+from graphtrack.constants.personal import Known, is_learned
 from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, make_forecasts_ready, times_ahead
@@ -186,7 +187,8 @@ class Answers:
         """
         engine = online_engine(self.model, self.engine)
         if engine == "chain":
-            make_online_ready(self.model, engine)
+            learned = [ONLINE_REHEARSAL] * is_learned(self.constants, self.model)
+            make_online_ready(self.model, engine, *learned)
             if self.walkable is not None:
                 make_online_ready(self.model.with_terms(StaysInside), engine)
         if detections:
