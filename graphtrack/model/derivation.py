@@ -14,6 +14,7 @@ from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from graphtrack.errors import InputError
 from graphtrack.kernels.layout import Function
 
 if TYPE_CHECKING:
@@ -45,7 +46,6 @@ class FrameSymbols:
     def __init__(self, end: str = "") -> None:
         import sympy
 
-        self._end = end
         self.x, self.y, self.vx, self.vy, self.body, self.head = (
             sympy.Symbol(f"{name}{end}", real=True) for name in VARIABLES
         )
@@ -58,8 +58,10 @@ class FrameSymbols:
         return [self.x, self.y, self.vx, self.vy, self.body, self.head]
 
     def input(self, name: str, size: int = 0) -> Any:
-        """Return the input of a frame (`Track.inputs`): a number, or ``size`` of them. Where it is missing,
-        the term does not act."""
+        """Return the input of a frame (`Track.inputs`): a number, or ``size`` of them.
+
+        The term does not act where it is missing.
+        """
         import sympy
 
         self._inputs[name] = size
@@ -97,9 +99,17 @@ class Derived:
 
 @cache
 def derived(function: Residuals) -> Derived:
-    """Derive the kernel and the density of a function of residuals."""
+    """Derive the kernel and the density of a function of residuals.
+
+    Raises
+    ------
+    InputError
+        For a function without a name, or whose residuals depend on no variable.
+    """
     import sympy
 
+    if not function.__name__.isidentifier():
+        raise InputError(f"a term from {function.__name__}", "a function with a name, by def")
     names = list(inspect.signature(function).parameters)
     links = names[:1] == ["before"]
     now, before = FrameSymbols(), FrameSymbols("_before")
@@ -114,6 +124,8 @@ def derived(function: Residuals) -> Derived:
     of_now, of_before = (
         tuple(k for k, symbol in enumerate(frame.variables) if symbol in used) for frame in (now, before)
     )
+    if not of_now + of_before:
+        raise InputError(f"a term {function.__name__} of no variable", f"one of {', '.join(VARIABLES)}")
     return Derived(
         now=of_now,
         before=of_before,

@@ -140,7 +140,7 @@ def term(function: Residuals, **numbers: float) -> FunctionTerm:
     Raises
     ------
     InputError
-        For missing, further or non-finite numbers.
+        For missing, further or non-finite numbers, or a function without a name or without variables.
 
     Examples
     --------

@@ -143,6 +143,14 @@ def test_what_is_no_term_is_told() -> None:
         gt.term(looks_at, x=1.0, y=2.0)
     with pytest.raises(InputError, match="kappa = nan of looks_at"):
         gt.term(looks_at, x=1.0, y=2.0, kappa=float("nan"))
+    with pytest.raises(InputError, match="by def"):
+        gt.term(lambda now: now.x)
+
+    def constant(now: Any, std: float) -> Any:
+        return std
+
+    with pytest.raises(InputError, match="constant of no variable"):
+        gt.term(constant, std=1.0)
     with pytest.raises(InputError, match="a term"):
         gt.Model("joint", terms=[looks_at])  # type: ignore[list-item]
     track = replace(walk(5), inputs={"told": np.zeros(5), "turn": np.zeros(5)})
