@@ -1,6 +1,6 @@
 """The model: terms, parameters and presets."""
 
-from graphtrack.model.derivation import chord
+from graphtrack.model.derivation import FrameSymbols, chord
 from graphtrack.model.factors import FactorShapeError, custom_factor
 from graphtrack.model.function_term import FunctionTerm, term
 from graphtrack.model.model import Model, presets
@@ -17,6 +17,7 @@ from graphtrack.model.term import Term
 __all__ = [
     "CouplingParameters",
     "FactorShapeError",
+    "FrameSymbols",
     "FunctionTerm",
     "LikelihoodParameters",
     "Model",

@@ -59,7 +59,7 @@ def tracks(draw: st.DrawFn) -> TrackSet:
         channels |= {name: channel(*of) for name, of in OPTIONAL.items() if name in optional}
         if "covariance" in optional:
             variance = channel(st.floats(1e-6, 1e3), 6)
-            covariance = np.zeros((n, 6, 6))
+            covariance = np.full((n, 6, 6), np.nan)
             covariance[:, np.arange(6), np.arange(6)] = variance
             covariance[missing] = np.nan
             channels["covariance"] = covariance
