@@ -47,7 +47,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import SAME_TIME
-from graphtrack.saved import DAMAGES, damaged, packed, real, unpacked
+from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
 _RULED_OUT = 0.05
@@ -452,7 +452,7 @@ class OnlineSmoother:
             try:
                 self.learner = learner = Learner(self._chosen, Population.from_dict(state["population"]))
                 learner.restore(state["learned"])
-                saved = {int(k): one for k, one in state["solvers"]}
+                saved = {integer(k): one for k, one in state["solvers"]}
                 if not saved or not set(saved) <= set(range(len(learner.weights))):
                     raise ValueError(f"alternatives {sorted(saved)}")
             except DAMAGES as error:
