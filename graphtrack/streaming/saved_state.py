@@ -123,10 +123,11 @@ class StateFile:
         """
         self._snapshot, self._members, self._cut = self._snapshot + 1, 0, self._rows
         with self._as_input_error():
+            database = self._created()
+            if self._snapshot == 1:  # the first one: rows and members count from its end, not without it
+                database.execute("BEGIN IMMEDIATE")
             # One may have begun in a process that was killed.
-            self._created().execute(
-                "DELETE FROM entry WHERE kind = ? AND snapshot = ?", (_MEMBER, self._snapshot)
-            )
+            database.execute("DELETE FROM entry WHERE kind = ? AND snapshot = ?", (_MEMBER, self._snapshot))
 
     def add(self, value: Any) -> None:
         """Add a member's state to the snapshot that has begun; errors as for `append`."""
@@ -137,7 +138,8 @@ class StateFile:
     def replace(self, header: Any) -> None:
         """End the snapshot that has begun: it takes the place of the last one; errors as for `append`."""
         with self._as_input_error(), self._created() as database:  # a transaction
-            database.execute("BEGIN IMMEDIATE")
+            if not database.in_transaction:
+                database.execute("BEGIN IMMEDIATE")
             self._add(_HEADER, 0, [self._members, self._cut, header])
             database.execute(
                 "DELETE FROM entry WHERE kind != ? AND snapshot < ? OR kind = ? AND place < ?",
