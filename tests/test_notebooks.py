@@ -8,7 +8,6 @@ from pathlib import Path
 import nbformat
 import pytest
 from jupyter_client.manager import KernelManager
-from selection import others_slow
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -16,7 +15,6 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|tmp|work|usr|opt|Users|var)/|site-packages|[A-Z]:\\\\")
 LARGEST = 400_000
 
-OF_MANY_SECONDS = ("03-filters", "06-perception", "08-tracking")
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
 
@@ -52,11 +50,7 @@ def kernel():
     manager.shutdown_kernel(now=True)
 
 
-@pytest.mark.parametrize(
-    "path",
-    others_slow(NOTEBOOKS, [path for path in NOTEBOOKS if path.stem not in OF_MANY_SECONDS]),
-    ids=[path.stem for path in NOTEBOOKS],
-)
+@every_notebook
 def test_a_notebook_runs_without_error(path, tmp_path, kernel):
     execute = runpy.run_path(str(FOLDER / "execute.py"))["execute"]
     notebook = execute(path, tmp_path, kernel)  # raises for the first cell that fails
