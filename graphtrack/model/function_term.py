@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import Field, Kernel, VariableName
 from graphtrack.model.derivation import VARIABLES, Residuals, derived
@@ -51,23 +51,25 @@ class FunctionTerm(Term):
             if not (is_number(value) and math.isfinite(value)):
                 raise InputError(f"{name} = {value!r} of {self.label}", "a finite number")
         prefix = f"own_{self.label}" + (f"_{place}" if place > 1 else "")
-        self._prefix, self._gate = prefix, f"{prefix}_gate"
-        self._input_fields = {
-            name: [f"{prefix}_{name}_{k}" for k in range(size or 1)] for name, size in known.inputs.items()
-        }
-        # Set on the instance: those of a class are of all its terms.
+        self._gate = f"gate_of_{prefix}"  # unlike the names of numbers and inputs
         variables, before = (
             tuple(dict.fromkeys(_VARIABLE_OF[k] for k in side)) for side in (known.now, known.before)
         )
-        renamed = {f"number_{name}": f"{prefix}_{name}" for name in known.numbers}
-        for name, fields in self._input_fields.items():
-            renamed |= {f"input_{name}_{k}": field for k, field in enumerate(fields)}
+        numbers_of = {f"number_{name}": f"{prefix}_{name}" for name in known.numbers}
+        inputs_of = {
+            f"input_{name}_{k}": f"input_of_{prefix}_{name}_{k}"
+            for name, size in known.inputs.items()
+            for k in range(size or 1)
+        }
+        # Set on the instance: those of a class are of all its terms.
         own: Any = vars(self)
         own["uses"] = frozenset(name for name in (*variables, *before) if name in ("body", "head"))
-        own["kernels"] = (Kernel(known.kernel, self._gate, variables, before, names=renamed),)
-        inputs = [field for fields in self._input_fields.values() for field in fields]
-        own["fields"] = (Field(self._gate, "1 where the term acts"), *(Field(name, "") for name in inputs))
-        own["shared"] = tuple(Field(f"{prefix}_{name}", "") for name in known.numbers)
+        own["kernels"] = (Kernel(known.kernel, self._gate, variables, before, names=numbers_of | inputs_of),)
+        own["fields"] = (
+            Field(self._gate, "1 where the term acts"),
+            *(Field(name, "") for name in inputs_of.values()),
+        )
+        own["shared"] = tuple(Field(name, "") for name in numbers_of.values())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FunctionTerm, (self.function, self.numbers, self.place, self.parameters)
@@ -97,17 +99,14 @@ class FunctionTerm(Term):
 
     def pack(self, packed: PackedTracks) -> None:
         """Numbers, inputs, and where the term acts."""
-        acts = ~packed.is_first if self._derived.links else np.ones(len(packed.records), bool)
-        for name, fields in self._input_fields.items():
-            size = self._derived.inputs[name]
-            values = packed.input(name, *([size] if size else [])).reshape(len(acts), -1)
-            known = np.isfinite(values).all(axis=1)
-            acts = acts & known
-            for k, field in enumerate(fields):
-                packed.records[field] = np.where(known, values[:, k], 0.0)
+        names = self.kernels[0].names
+        known, inputs = self._inputs(packed.input, len(packed.records))
+        acts = known & ~packed.is_first if self._derived.links else known
+        for name, values in inputs.items():
+            packed.records[names[name]] = np.where(known, values, 0.0)
         packed.records[self._gate] = acts
         for name, value in self.numbers.items():
-            packed.shared[f"{self._prefix}_{name}"] = value
+            packed.shared[names[f"number_{name}"]] = value
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """½·‖r‖², summed over the frames where the term acts."""
@@ -115,14 +114,21 @@ class FunctionTerm(Term):
         values: dict[str, FloatArray] = {"dt": track.dt}
         for k, name in enumerate(VARIABLES):
             values[name], values[f"{name}_before"] = rows[:, k], np.roll(rows[:, k], 1)
-        acts = np.arange(len(track)) >= (1 if self._derived.links else 0)
-        for name, size in self._derived.inputs.items():
-            known = track.input(name, *([size] if size else [])).reshape(len(track), -1)
-            acts &= np.isfinite(known).all(axis=1)
-            values |= {f"input_{name}_{k}": known[:, k] for k in range(size or 1)}
+        acts, inputs = self._inputs(track.input, len(track))
+        acts[: 1 if self._derived.links else 0] = False
+        values |= inputs
         values |= {f"number_{name}": np.full(len(track), value) for name, value in self.numbers.items()}
         given = [values[name][acts] for name in self._derived.arguments]
         return float(np.sum(np.broadcast_to(self._derived.density(*given), acts.sum())))
+
+    def _inputs(self, read: Callable[..., FloatArray], n: int) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """Return where all inputs are known (n,), and their columns (n,) by the names of their symbols."""
+        known, columns = np.ones(n, bool), dict[str, FloatArray]()
+        for name, size in self._derived.inputs.items():
+            values = read(name, *([size] if size else [])).reshape(n, -1)
+            known &= np.isfinite(values).all(axis=1)
+            columns |= {f"input_{name}_{k}": values[:, k] for k in range(size or 1)}
+        return known, columns
 
 
 def term(function: Residuals, **numbers: float) -> FunctionTerm:

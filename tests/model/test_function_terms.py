@@ -118,6 +118,15 @@ def test_two_of_one_function_are_two_terms() -> None:
     assert repr(again) == repr(model) and [t.label for t in again.terms] == [t.label for t in model.terms]
 
 
+def test_names_of_numbers_and_inputs_do_not_collide() -> None:
+    def near(now: Any, gate: float, x_0: float, x: float) -> Any:
+        return [now.x - gate - now.input("x"), now.y - x - x_0]
+
+    (term,) = gt.Model("position", terms=[gt.term(near, gate=1.0, x_0=2.0, x=3.0)]).terms[-1:]
+    names = [field.name for field in (*term.fields, *term.shared)]
+    assert len(names) == len(set(names)) == 5
+
+
 # An engine of its own takes a minute to compile.
 
 
