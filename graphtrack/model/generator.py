@@ -26,7 +26,7 @@ from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
 from graphtrack.kernels.lanes import LaneArrayType
 from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of, record_type
-from graphtrack.model import Model, program
+from graphtrack.model import Model, Term, program
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
 
@@ -159,6 +159,11 @@ class Contribution(NamedTuple):
     shared: tuple[Field, ...]
     kernels: tuple[Kernel, ...]
 
+    @classmethod
+    def of(cls, name: str, term: Term | type[Term]) -> Contribution:
+        """The contribution of a term, or of every term of a class."""
+        return cls(name, term.fields, term.shared, term.kernels)
+
 
 class FrameProgram:
     """The frame program of some terms: the types of its records, and its source.
@@ -278,7 +283,7 @@ class FrameProgram:
         return text
 
 
-_OF_PRESETS = [Contribution(kind.__name__, kind.fields, kind.shared, kind.kernels) for kind in every_term()]
+_OF_PRESETS = [Contribution.of(kind.__name__, kind) for kind in every_term()]
 OF_PRESETS = FrameProgram(_OF_PRESETS, "the presets' terms")
 _FUNCTIONS: dict[tuple[str, ...], Any] = {OF_PRESETS.types.frame.names or (): program}
 """Names of the fields of a record → the functions of its program."""
@@ -286,9 +291,7 @@ _FUNCTIONS: dict[tuple[str, ...], Any] = {OF_PRESETS.types.frame.names or (): pr
 
 def program_of(model: Model) -> FrameProgram:
     """The frame program of a model's compiled terms."""
-    brought = (
-        Contribution(term.label, term.fields, term.shared, term.kernels) for term in model.compiled_terms
-    )
+    brought = (Contribution.of(term.label, term) for term in model.compiled_terms)
     return _program_of(tuple(dict.fromkeys(brought)))
 
 

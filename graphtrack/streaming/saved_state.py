@@ -124,7 +124,7 @@ class StateFile:
         self._snapshot, self._members, self._cut = self._snapshot + 1, 0, self._rows
         with self._as_input_error():
             database = self._created()
-            if self._snapshot == 1:  # the first one: rows and members count from its end, not without it
+            if self._snapshot == 1:  # one transaction: until the first snapshot has ended there is no state
                 database.execute("BEGIN IMMEDIATE")
             # One may have begun in a process that was killed.
             database.execute("DELETE FROM entry WHERE kind = ? AND snapshot = ?", (_MEMBER, self._snapshot))

@@ -85,11 +85,6 @@ def told(track: Track, move: float = 0.4) -> Track:
     return replace(track, inputs={"window": window})
 
 
-def brought(kind: type[Term]) -> Contribution:
-    """The contribution of a class of terms to a program."""
-    return Contribution(kind.__name__, kind.fields, kind.shared, kind.kernels)
-
-
 # An engine of its own takes a minute to compile.
 
 
@@ -171,8 +166,9 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
         kernels = (Kernel(add_look, gate="nowhere", variables=("head",)),)
 
     for kind, said in ((Mistaken, "'precise'"), (Doubled, "motion_information"), (Gateless, "'nowhere'")):
+        terms = [Contribution.of(one.__name__, one) for one in (*every_term(), kind)]
         with pytest.raises(ValueError, match=said):
-            FrameProgram(map(brought, [*every_term(), kind]), "a test").source  # noqa: B018
+            FrameProgram(terms, "a test").source  # noqa: B018
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:

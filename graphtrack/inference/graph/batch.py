@@ -109,6 +109,20 @@ def optimize(
     return values, costs, False
 
 
+def start_of(track: Track, steps: Sequence[Step], model: Model) -> Window:
+    """The window of a whole track, of its steps at the states from which the engines start.
+
+    Raises
+    ------
+    SolveError
+        If there are no positions.
+    """
+    initial = initial_states(track, model)
+    states = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
+    body, head = states[0, 4:].tolist()
+    return Window(tuple(steps), states, None, (body, head))
+
+
 def smooth_graph(
     track: Track, model: Model, camera: GroundCamera | None = None, options: SolverOptions | None = None
 ) -> Solution:
@@ -123,28 +137,22 @@ def smooth_graph(
         If there are no positions, or the result is not finite or worse than the start.
     """
     options = SolverOptions() if options is None else options
-    initial = initial_states(track, model)
-    first = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
     steps = chain(track, camera)
-    view = _view(model, steps, first)
-    body, head = first[0, 4:].tolist()
-    window = Window(tuple(steps), first, None, (body, head))
-    graph = window_graph(window, model)
-    values = values_of(steps, first, model)
+    start = start_of(track, steps, model)
+    view = _view(model, steps, start.states)
+    graph, values = window_graph(start, model), values_of(steps, start.states, model)
     descent = _Descent(graph, steps, model, options, view if options.basin_search else None)
     try:
         begun = graph.error(values)
         values, costs, converged = descent.lower(descent.elsewhere(values, AT_START) or values)
         costs[0] = begun
-        marginals = marginals_of(graph, values)
-        covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
+        covariance = reported_covariances(marginals_of(graph, values), steps, model)
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(
             track.track_id, with_extreme(" ".join(str(error).split())[:200], track, model)
         ) from error
     states = states_of(values, steps, model)
     offsets = np.array([0, len(track)])
-    limit_angles(covariance)
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     for reason in lost_by_rounding(track.dt, offsets, covariance, model).values():
@@ -235,4 +243,13 @@ def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, step: Step, model
     for (first, rows), (second, columns) in combinations_with_replacement(keys, 2):
         covariance[rows, columns] = block = joint.at(first, second)
         covariance[columns, rows] = block.T
+    return covariance
+
+
+def reported_covariances(
+    marginals: gtsam.Marginals | gtsam.ISAM2, steps: Sequence[Step], model: Model
+) -> FloatArray:
+    """Covariances (n, 6, 6) of some steps, with angles of no more than the uniform variance."""
+    covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
+    limit_angles(covariance)
     return covariance

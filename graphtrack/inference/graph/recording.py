@@ -10,13 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from graphtrack.errors import InputError, SolveError
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.covariance import limit_angles
-from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.inference.engines import estimated_tracks
-from graphtrack.inference.graph.batch import joint_covariance, window_graph
-from graphtrack.inference.state import Window, states_of, values_of
+from graphtrack.inference.graph.batch import reported_covariances, start_of, window_graph
+from graphtrack.inference.state import states_of, values_of
 from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import chain
@@ -81,14 +78,11 @@ def recording_graph(
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for track, model in zip(tracks, models, strict=True):
         merged, _, steps = _frames(track, model, tracks.camera)
-        initial = initial_states(merged, model)
-        states = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-        body, head = states[0, 4:].tolist()
-        graph.push_back(window_graph(Window(tuple(steps), states, None, (body, head)), model))
-        own = values_of(steps, states, model)
+        start = start_of(merged, steps, model)
         if values.exists(steps[0].position_key):
             raise InputError(f"two tracks {track.track_id}", "a different id for each person")
-        values.insert(own)
+        graph.push_back(window_graph(start, model))
+        values.insert(values_of(steps, start.states, model))
     return graph, values
 
 
@@ -110,16 +104,9 @@ def recording_tracks(
         merged, rows, steps = _frames(track, model, tracks.camera)
         if not all(values.exists(step.position_key) for step in steps):
             raise SolveError(track.track_id, "the values have no variables of it, or not of all rows")
-        states, covariance = states_of(values, steps, model), _covariances(steps, model, marginals)
+        states, covariance = states_of(values, steps, model), np.full((len(steps), N, N), np.nan)
+        if marginals is not None:
+            covariance = reported_covariances(marginals, steps, model)
         (estimate,) = estimated_tracks([merged], np.array([0, len(steps)]), states, covariance)
         found.append(estimate if rows is None else of_every_row(estimate, track, rows))
     return tracks.with_tracks(found)
-
-
-def _covariances(steps: Sequence[Step], model: Model, marginals: gtsam.Marginals | None) -> FloatArray:
-    """Covariances (n, 6, 6) as the engines report them; NaN without marginals."""
-    if marginals is None:
-        return np.full((len(steps), N, N), np.nan)
-    covariance = np.array([joint_covariance(marginals, step, model) for step in steps])
-    limit_angles(covariance)
-    return covariance
