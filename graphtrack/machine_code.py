@@ -23,7 +23,7 @@ from pathlib import Path
 
 from graphtrack.errors import InputError
 
-_DECLARES = re.compile(rb"^@(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
+_DECLARES = re.compile(rb"(^@|= )(compiled|inner|merged|allocating|inner_allocating)\b", re.MULTILINE)
 """Text that marks sources with compiled functions."""
 
 _IMPORTS = re.compile(

@@ -20,6 +20,7 @@ __all__ = [
     "sparse",
     "spatial",
     "special",
+    "sympy",
     "transform",
 ]
 
@@ -62,11 +63,12 @@ class _Later(ModuleType):
 
 if TYPE_CHECKING:
     import gtsam
+    import sympy
     from scipy import ndimage, optimize, sparse, spatial, special
     from scipy.sparse import csgraph
     from scipy.spatial import transform
 else:
-    gtsam = _Later("gtsam")
+    gtsam, sympy = _Later("gtsam"), _Later("sympy")
     ndimage, optimize, special = _Later("scipy.ndimage"), _Later("scipy.optimize"), _Later("scipy.special")
     sparse, csgraph = _Later("scipy.sparse"), _Later("scipy.sparse.csgraph")
     spatial, transform = _Later("scipy.spatial"), _Later("scipy.spatial.transform")

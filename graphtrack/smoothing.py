@@ -7,7 +7,7 @@ model that has them), and solve with an engine.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
@@ -21,7 +21,6 @@ from graphtrack.errors import InputWarning, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike, WalkableArea
-from graphtrack.inference.chain.batch import fit_lanes
 from graphtrack.inference.engines import (
     Failure,
     OfflineEngine,
@@ -87,7 +86,7 @@ def solve(
     model = Model.named(model)
     solver = engine_of(model, engine)
     given = tracks_of(tracks, scene=model.scene)
-    make_smoothing_ready(model, solver, given.camera, fit_lanes(given.tracks, model), constants, trust)
+    make_smoothing_ready(model, solver, given.camera, constants, trust)
     given, model, verdict = trusted(given, model, trust, constants)
     for line in verdict:
         warnings.warn(line, InputWarning, stacklevel=2)
@@ -112,7 +111,6 @@ def solve_tracks(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-    n_frames: int | None = None,
     walkable: WalkableArea | None = None,
     constants: Constants | None = None,
 ) -> list[Solution | Failure]:
@@ -120,7 +118,6 @@ def solve_tracks(
 
     Parameters
     ----------
-    n_frames : person-frames of the whole job, if the tracks are a part of it
     constants : as in `solve`
     """
     tracks = tracks.map(with_position_noise)
@@ -130,11 +127,11 @@ def solve_tracks(
         plain = partial(solve_tracks, engine=engine, jobs=jobs, options=options, constants=constants)
         return solve_inside(
             tracks,
-            partial(plain, model=model, progress=progress, n_frames=n_frames),
+            partial(plain, model=model, progress=progress),
             partial(plain, model=model.with_terms(StaysInside)),
             walkable,
         )
-    given: dict[str, Any] = {"jobs": jobs, "options": options, "progress": progress, "n_frames": n_frames}
+    given: dict[str, Any] = {"jobs": jobs, "options": options, "progress": progress}
 
     def each(some: TrackSet) -> list[Solution | Failure]:
         if is_learned(constants, model):
@@ -185,8 +182,7 @@ def _with_learned(
     **options: Any,
 ) -> tuple[list[Solution | Failure], Population]:
     known = population_of(constants)
-    in_lanes = fit_lanes(tracks.tracks, model, options.get("n_frames"))
-    make_smoothing_ready(model, engine, tracks.camera, in_lanes, constants)
+    make_smoothing_ready(model, engine, tracks.camera, constants)
 
     def smoothed(
         some: TrackSet, model: Model, own: Mapping[str, FloatArray], done: Progress | None
@@ -200,13 +196,12 @@ def make_smoothing_ready(
     model: Model,
     engine: OfflineEngine,
     camera: GroundCamera | None,
-    in_lanes: Collection[bool],
     constants: Constants | None,
     trust: Trust = "declared",
 ) -> None:
     """Compile, or load, the solver of `make_solver_ready` and the filters that smoothing calls."""
     needs_filters = trust != "declared" or is_learned(constants, model)
-    make_solver_ready(model, engine, camera, in_lanes or (False,), *[filters.REHEARSAL] * needs_filters)
+    make_solver_ready(model, engine, camera, *[filters.REHEARSAL] * needs_filters)
 
 
 def lacks_groups(tracks: TrackSet) -> bool:

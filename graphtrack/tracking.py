@@ -207,7 +207,6 @@ def warm_up(
     functions: str | Sequence[str] | None = None,
     *,
     behaviour: bool = False,
-    large: bool = False,
     walkable: bool = False,
 ) -> None:
     """Compile, or load from disk, all that the first calls of functions and classes would wait for.
@@ -223,8 +222,6 @@ def warm_up(
         (``track_online``), ``OnlineTracker``, ``associate``, ``groups`` (``OnlineGroups``), ``attention``
         (``OnlineAttention``), ``forecast`` (``Forecaster``); None: the first four
     behaviour : include groups, attention and forecasts
-    large : include kernels that solve many tracks in lanes, where the model has them; they are used from
-        `engine.LARGE` person-frames
     walkable : include kernels of walls, for a walkable area
 
     Raises
@@ -247,7 +244,7 @@ def warm_up(
     for each in (chosen, chosen.with_terms(StaysInside)) if walkable else (chosen,):
         offline = not wanted.isdisjoint(_SMOOTHING)
         online = not wanted.isdisjoint((*_TRACKING, *_DETECTIONS))
-        found += rehearsals(each, engine, offline=offline, online=online, large=large)
+        found += rehearsals(each, engine, offline=offline, online=online)
     if is_learned(None, chosen):
         found += [filters.REHEARSAL] * (not wanted.isdisjoint(_SMOOTHING))
         found += [filters.ONLINE_REHEARSAL] * (not wanted.isdisjoint((*_TRACKING, *_DETECTIONS)))

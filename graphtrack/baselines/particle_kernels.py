@@ -24,7 +24,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
-from graphtrack.model.terms.couplings import squared_excess
 from graphtrack.model.terms.motion import STANDSTILL
 
 
@@ -112,7 +111,8 @@ VANISHED = -700.0
 @compiled
 def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
     """κ(v) of Chen et al. 2011, eq. 9 at frame k."""
-    return motion.motion_body_kappa[k] * squared_excess(vx, vy, motion.speed_threshold)
+    excess = max(math.sqrt(vx * vx + vy * vy) - motion.speed_threshold, 0.0)
+    return motion.motion_body_kappa[k] * excess * excess
 
 
 @compiled

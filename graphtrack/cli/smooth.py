@@ -105,13 +105,11 @@ def _associate(dataset: Dataset, output: Path, read_options: ReadOptions, option
 
 
 def _smooth_tracks(dataset: Dataset, output: Path, **options: Any) -> None:
-    from graphtrack.inference.chain.batch import is_large
     from graphtrack.scale import smooth_dataset
     from graphtrack.smoothing import make_smoothing_ready
 
     if options["cluster"] in (None, "local"):
-        in_lanes = (is_large(options["model"], dataset.n_rows),)
-        make_smoothing_ready(options["model"], options["engine"], None, in_lanes, options["constants"])
+        make_smoothing_ready(options["model"], options["engine"], None, options["constants"])
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)
@@ -178,7 +176,6 @@ def smooth(
     )
     from graphtrack.constants.declared import trusted
     from graphtrack.geometry.walkable import WalkableArea
-    from graphtrack.inference.chain.batch import fit_lanes
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
     from graphtrack.smoothing import make_smoothing_ready, solve_tracks
@@ -218,7 +215,7 @@ def smooth(
     if resample is not None:
         tracks = with_times_at(tracks, resample)
     trust = trust or "check"
-    make_smoothing_ready(chosen, solver, tracks.camera, fit_lanes(tracks.tracks, chosen), constants, trust)
+    make_smoothing_ready(chosen, solver, tracks.camera, constants, trust)
     observed, chosen, verdict = trusted(tracks, chosen, trust, constants)
     for line in verdict:
         emit(f"  note: {line}")
@@ -290,7 +287,6 @@ def warm_up(
     functions: Annotated[list[str] | None, typer.Argument(metavar="FUNCTION...")] = None,
     model: options.BestModelName = None,
     behaviour: Annotated[bool, typer.Option("--behaviour")] = False,
-    large: Annotated[bool, typer.Option("--large")] = False,
     walls: Annotated[bool, typer.Option("--walls")] = False,
 ) -> None:
     """Compile what the first calls would wait for, in all processors; once on a machine, or in an image.
@@ -300,7 +296,6 @@ def warm_up(
     functions : Names in Python, as of graphtrack.warm_up; default smooth, OnlineSmoother, OnlineTracker and
         associate.
     behaviour : Groups, attention and forecasts too.
-    large : What only large data sets need too.
     walls : Walls too, for --walkable.
     """
     from graphtrack import tracking
@@ -309,7 +304,7 @@ def warm_up(
     if why_not_kept():
         raise InputError(f"no folder for machine code: {why_not_kept()}", "one in NUMBA_CACHE_DIR")
     start, before = time.perf_counter(), len(kept_files())
-    tracking.warm_up(model, functions=functions, behaviour=behaviour, large=large, walkable=walls)
+    tracking.warm_up(model, functions=functions, behaviour=behaviour, walkable=walls)
     files = kept_files()
     size = sum(file.stat().st_size for file in files) / 2**20
     emit(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.basin_search import find_other_basins, unwind
+from graphtrack.inference.chain.basin_search import find_other_basin, unwind
 from graphtrack.inference.chain.batch import (
-    Group,
     Options,
+    Solved,
     challenge,
-    has_lanes,
     is_chain,
     solve_packed,
     solve_tracks,
@@ -33,7 +32,7 @@ from graphtrack.inference.chain.initialisation import (
     pack_to_solve,
     problem_of,
 )
-from graphtrack.inference.chain.newton import workspace
+from graphtrack.inference.chain.newton import Descent, workspace
 from graphtrack.kernels.compilation import TRACK, Rehearsal, compile_for, make_ready
 from graphtrack.kernels.layout import Chain, N
 from graphtrack.model import Model, Observation, Step
@@ -363,7 +362,7 @@ OFFLINE = "the offline solver"
 
 
 def rehearsals(
-    model: Model, engine: OnlineEngine | Literal["gtsam"], *, offline: bool, online: bool, large: bool = False
+    model: Model, engine: OnlineEngine | Literal["gtsam"], *, offline: bool, online: bool
 ) -> list[Rehearsal]:
     """Return the rehearsals of smoothing and tracking with a model and an engine.
 
@@ -371,16 +370,14 @@ def rehearsals(
     ----------
     engine : "gtsam" has no online solver; "fixed-lag" and "isam2" have no offline solver
     offline, online : solvers that are wanted
-    large : also the solver of many tracks in lanes, where the model has it
     """
     if not is_chain(model):
         return [_graph_rehearsal(None)]
     found: list[Rehearsal] = []
-    ways = (False, True) if large and has_lanes(model) else (False,)
     if offline and engine == "gtsam":
-        found += _solver_rehearsals(model, "gtsam", None, ways)
+        found += _solver_rehearsals(model, "gtsam", None)
     elif offline and engine in ("auto", "chain"):
-        found += _solver_rehearsals(model, "chain", None, ways)
+        found += _solver_rehearsals(model, "chain", None)
     if online and engine != "gtsam":
         found.append(_online_rehearsal(model) if engine in ("auto", "chain") else _graph_rehearsal(model))
     return found
@@ -390,16 +387,15 @@ def make_solver_ready(
     model: Model,
     engine: OfflineEngine,
     camera: GroundCamera | None = None,
-    in_lanes: Collection[bool] = (False,),
     *further: Rehearsal,
     complete: bool = False,
 ) -> None:
-    """Compile, or load, the offline functions of an engine, ``in_lanes`` or not, and ``further`` ones.
+    """Compile, or load, the offline functions of an engine, and ``further`` ones.
 
     ``complete``: Newton's steps even where the model is linear, and GTSAM's basin search with user-defined
     terms.
     """
-    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, in_lanes, complete=complete), *further)
+    make_ready(OFFLINE, *_solver_rehearsals(model, engine, camera, complete=complete), *further)
 
 
 def make_online_ready(model: Model, engine: OnlineEngine, *further: Rehearsal) -> None:
@@ -417,7 +413,6 @@ def _solver_rehearsals(
     model: Model,
     engine: OfflineEngine,
     camera: GroundCamera | None,
-    in_lanes: Collection[bool],
     *,
     complete: bool = False,
 ) -> list[Rehearsal]:
@@ -430,12 +425,8 @@ def _solver_rehearsals(
     found = [Rehearsal("offline linear", partial(_solve, Model("position")), 1.0)] if linear else []
     if linear and camera is None and not complete:
         return found
-    if not all(in_lanes):
-        found.append(Rehearsal(f"offline {_kind(model)}", partial(_solve, like), 7.0, _parts(model)))
-        found += [] if has_own_kernels(model) else [_start()]
-    if any(in_lanes):
-        found.append(Rehearsal(f"lanes {_kind(model)}", partial(_solve, like, in_lanes=True), 25.0))
-    return found
+    found.append(Rehearsal(f"offline {_kind(model)}", partial(_solve, like), 7.0, _parts(model)))
+    return found if has_own_kernels(model) else [*found, _start()]
 
 
 def _graph_rehearsal(model: Model | None) -> Rehearsal:
@@ -467,24 +458,23 @@ def _parts(model: Model) -> tuple[Rehearsal, ...]:
 
 
 def _compile_descent() -> None:
-    group = _group()
-    compile_for(challenge, group, True, 1, 1.0)
-    compile_for(find_covariances, group.chain, group.states, group.workspace, group.covariance)
+    solved = _solved()
+    ended = Descent(0.0, 0.0, 0, 0, True)
+    compile_for(challenge, solved, Options(1, 1.0, True), ended, 0.0)
+    compile_for(find_covariances, solved.chain, solved.states, solved.memory, np.empty((len(TRACK), N, N)))
 
 
 def _compile_basin_search() -> None:
-    group = _group()
-    chain, states, memory = group.chain, group.states, group.workspace
-    compile_for(find_other_basins, group.all_tracks, group.tracks, chain, states, 0.0, memory)
+    chain, states, memory = _solved()
+    compile_for(find_other_basin, chain, states, 0.0, memory)
     compile_for(unwind, chain, states, 0.0, memory)
 
 
-def _group() -> Group:
+def _solved() -> Solved:
     """Return the arrays of one track, uninitialised."""
     n, problem = len(TRACK), problem_of(pack_to_solve([TRACK], Model("joint")))
     memory = workspace.py_func(n)  # type: ignore[attr-defined]
-    states, covariance = np.empty((n, N)), np.empty((n, N, N))
-    return Group(Chain(problem, 0, n, float(n)), problem, np.zeros(1, np.int64), states, covariance, memory)
+    return Solved(Chain(problem, 0, n, 0), np.empty((n, N)), memory)
 
 
 def _like(model: Model) -> Model:
@@ -501,12 +491,12 @@ def _kind(model: Model) -> str:
     return "angles" + "".join(f" {one.__module__}.{one.__qualname__}" for one in functions)
 
 
-def _solve(model: Model, *, in_lanes: bool = False) -> None:
+def _solve(model: Model) -> None:
     packed = pack_to_solve([TRACK], model)
-    if not (in_lanes or model.is_linear(packed)):
+    if not model.is_linear(packed):
         # What comes first in a solution may be compiled by another process meanwhile.
         compile_for(solve_tracks, problem_of(packed), 1, Options(1, 1.0, True), empty_result(packed))
-    solve_packed(packed, model, in_lanes=in_lanes)
+    solve_packed(packed, model)
 
 
 def _search(model: Model) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import fit_lanes, solve_packed
+from graphtrack.inference.chain.batch import solve_packed
 from graphtrack.inference.chain.initialisation import pack_to_solve
 from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
 from graphtrack.inference.engines import (
@@ -29,7 +29,6 @@ from graphtrack.inference.engines import (
     not_finite,
 )
 from graphtrack.kernels.compilation import processors
-from graphtrack.kernels.layout import LANES
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.same_time import merged_rows, of_every_row
@@ -48,7 +47,6 @@ def solve_each(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-    n_frames: int | None = None,
     personal: Personal | None = None,
 ) -> list[Solution | Failure]:
     """Smooth every track separately with the engine that `engine_of` has chosen for the model.
@@ -57,7 +55,6 @@ def solve_each(
 
     Parameters
     ----------
-    n_frames : person-frames of the whole job, if the tracks are a part of it
     personal : parameters by name, as ``group.key``, with a value (m,) for each track in place of the model's
     """
     if jobs is not None:
@@ -79,7 +76,7 @@ def solve_each(
     options = SolverOptions() if options is None else options
     frames = tracks.with_tracks(given)
     own = _of_some(personal, places)
-    solved = iter(_solve_frames(frames, model, engine, jobs, options, progress, n_frames, own))
+    solved = iter(_solve_frames(frames, model, engine, jobs, options, progress, own))
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         one = refused[m] if m in refused else next(solved)
@@ -96,15 +93,13 @@ def _solve_frames(
     jobs: int | None,
     options: SolverOptions,
     progress: Callable[[int], None] | None,
-    n_frames: int | None,
     personal: Personal,
 ) -> list[Solution | Failure]:
     if not len(tracks):
         return []
-    in_lanes = fit_lanes(tracks.tracks, model, n_frames)
-    make_solver_ready(model, engine, tracks.camera, in_lanes)
+    make_solver_ready(model, engine, tracks.camera)
     if engine == "chain":
-        return _solve_batches(tracks, in_lanes, model, jobs, options, progress, personal)
+        return _solve_batches(tracks, model, jobs, options, progress, personal)
     attempt = partial(_attempt_graph, camera=tracks.camera, options=options)
     models = [_with_own(model, personal, m) for m in range(len(tracks))]
     if jobs is None or jobs == 1 or len(tracks) < 2:
@@ -154,43 +149,39 @@ def smooth_track(
 
 def _solve_batches(
     tracks: TrackSet,
-    in_lanes: list[bool],
     model: Model,
     jobs: int | None,
     options: SolverOptions,
     progress: Callable[[int], None] | None,
     personal: Personal,
 ) -> list[Solution | Failure]:
-    found: dict[int, Solution | Failure] = {}
+    found: list[Solution | Failure] = []
     # The kernels release the interpreter's lock: while they run, the next batch is packed.
     workers = processors() if jobs is None else jobs
     with ThreadPoolExecutor(workers) as pool:
         # Several tasks per thread, for load balance.
         size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
-        batches = [(which, way) for way in (True, False) for which in _batches(tracks, in_lanes, way, size)]
+        batches = list(_batches(tracks, size))
 
-        def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
-            given, own = [tracks.tracks[m] for m in batch[0]], _of_some(personal, batch[0])
-            return _solve_chains(given, model, tracks.camera, options, own, in_lanes=batch[1])
+        def run(batch: list[int]) -> list[Solution | Failure]:
+            given, own = [tracks.tracks[m] for m in batch], _of_some(personal, batch)
+            return _solve_chains(given, model, tracks.camera, options, own)
 
-        for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
-            found |= zip(which, solved, strict=True)
+        for solved, batch in zip(pool.map(run, batches), batches, strict=True):
+            found += solved
             if progress is not None:
-                progress(sum(len(tracks.tracks[m]) for m in which))
-    return [found[m] for m in range(len(tracks))]
+                progress(sum(len(tracks.tracks[m]) for m in batch))
+    return found
 
 
-def _batches(tracks: TrackSet, in_lanes: list[bool], way: bool, size: int) -> Iterator[list[int]]:
-    """Indices of tracks that are solved one way, about ``size`` frames at a time, lanes in groups."""
-    group = LANES if way else 1
+def _batches(tracks: TrackSet, size: int) -> Iterator[list[int]]:
+    """Indices of tracks, about ``size`` frames at a time."""
     batch: list[int] = []
     frames = 0
     for m, track in enumerate(tracks):
-        if in_lanes[m] is not way:
-            continue
         batch.append(m)
         frames += len(track)
-        if frames >= size and len(batch) % group == 0:
+        if frames >= size:
             yield batch
             batch, frames = [], 0
     if batch:
@@ -203,7 +194,6 @@ def _solve_chains(
     camera: GroundCamera | None,
     options: SolverOptions,
     personal: Personal,
-    in_lanes: bool = False,
 ) -> list[Solution | Failure]:
     packed = pack_to_solve(tracks, model, camera, personal)
     found = solve_packed(
@@ -212,7 +202,6 @@ def _solve_chains(
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
         basin_search=options.basin_search,
-        in_lanes=in_lanes,
     )
     positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])
     if model.has_body or model.has_head:

@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -55,8 +55,8 @@ OPTIONS = {
 INNER = {"_nrt": False, "no_cpython_wrapper": True}
 """Options of functions that only compiled code calls and that make no arrays."""
 
-_NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
-"""Annotations of numbers; "Any": floats or `lanes`."""
+_NUMBERS = ("None", "bool", "int", "float", "Any", "tuple")
+"""Annotations of numbers."""
 
 _CACHE_DIR = threading.Lock()  # Held while numba's cache folder is changed
 
@@ -75,9 +75,22 @@ def compiled(function: Function, **options: bool) -> Function:
     """
     annotation = getattr(function, "__annotations__", {}).get("return")
     returned = str(getattr(annotation, "__name__", annotation))
-    if not _NUMBERS.fullmatch(returned):
+    if not _is_of_numbers(returned, getattr(function, "__globals__", {})):
         raise TypeError(f"{function.__name__} returns {returned}, expected numbers, or @allocating")
     return _declared(function, **{"_nrt": False, **options})
+
+
+def _is_of_numbers(annotation: Any, known: Mapping[str, object]) -> bool:
+    """Return True for numbers, tuples of them, and named tuples with fields of them."""
+    text = str(getattr(annotation, "__forward_arg__", annotation))
+    return all(
+        name in _NUMBERS or _is_of_numbers_alone(known.get(name), known) for name in re.findall(r"\w+", text)
+    )
+
+
+def _is_of_numbers_alone(kind: object, known: Mapping[str, object]) -> bool:
+    fields = getattr(kind, "__annotations__", {})
+    return bool(fields) and all(_is_of_numbers(field, known) for field in fields.values())
 
 
 def inner(function: Function) -> Function:

@@ -16,7 +16,7 @@ from graphtrack.association.associate import tracks_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, von_mises_log_density
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.batch import Options, solve_packed, solve_terms
+from graphtrack.inference.chain.batch import Options, solve_packed, solve_tracks
 from graphtrack.inference.chain.initialisation import empty_result, pack, problem_of
 from graphtrack.inference.chain.newton import NOT_FINITE
 from graphtrack.inference.engines import make_solver_ready
@@ -290,7 +290,7 @@ class TruthLikelihood:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        solve_terms(problem, _SOLVING, result)
+        solve_tracks(problem, int(np.diff(problem.offsets).max()), _SOLVING, result)
         states = result.states.copy()
         states[:, :2] += self._origin
         frames = _log_density_of_truth(packed, model, states, result.covariance)

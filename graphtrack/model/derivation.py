@@ -1,6 +1,7 @@
-"""Kernels and densities from residuals in SymPy.
+"""Kernels and densities from costs in SymPy.
 
-The cost is ½·‖r‖², Gauss–Newton's curvature JᵀJ; the exact curvature is the second derivative of the cost.
+A cost is ρ(½·‖r‖²) of residuals r. With their Jacobian J and w = ρ', the gradient is w·Jᵀr, the curvature of
+Gauss–Newton's kind w·JᵀJ, and the exact one w·(JᵀJ + Σ rₖ·∂²rₖ) + ρ''·Jᵀr·rᵀJ.
 """
 
 from __future__ import annotations
@@ -9,8 +10,8 @@ import hashlib
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -21,17 +22,45 @@ if TYPE_CHECKING:
     import sympy
 
 VARIABLES = ("x", "y", "vx", "vy", "body", "head")  # In the order of the state
-Residuals = Callable[..., Any]
+Shapes = Mapping[str, tuple[int, ...]]
+
+
+CostFunction = Callable[..., Any]
 """A function of a frame (`FrameSymbols`), or of the previous frame, named ``before``, and the frame, and of
-numbers by name. It returns whitened residuals: one expression of SymPy, or a sequence of them."""
+numbers by name. It returns a `Cost`, or whitened residuals r of cost ½·‖r‖²: one expression of SymPy, or a
+sequence of them."""
 
 
-def chord(kappa: Any, angle: Any) -> list[sympy.Expr]:
-    """Return the residuals whose cost is κ·(1 − cos angle), that of a von Mises density."""
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A negative log density.
+
+    Attributes
+    ----------
+    residuals : whitened; the cost is ½·‖r‖²
+    loss : ρ of that, or None
+    where : condition of the cost, else it is 0
+    value : in place of residuals, of one variable
+    least : curvature of that value which stands in for a smaller one in Gauss–Newton's
+    """
+
+    residuals: Sequence[sympy.Expr] = ()
+    loss: Callable[[Any], Any] | None = None
+    where: Any = True
+    value: sympy.Expr | None = None
+    least: sympy.Expr | None = None
+
+
+def chord(kappa: Any, angle: Any, mean: Any = 0, scale: Any = 1) -> list[sympy.Expr]:
+    """Return the residuals of κ·s²·(1 − cos(angle − mean)), for s = 1 the cost of a von Mises density.
+
+    They are the chord √κ·s·(u(angle) − u(mean)) of two unit vectors; ``mean`` is an angle or a unit vector.
+    """
     import sympy
 
-    root = sympy.sqrt(kappa)
-    return [root * (sympy.cos(angle) - 1), root * sympy.sin(angle)]
+    root = sympy.sqrt(kappa) * scale
+    vector = mean if isinstance(mean, Sequence) else (sympy.cos(mean), sympy.sin(mean))
+    return [root * (sympy.cos(angle) - vector[0]), root * (sympy.sin(angle) - vector[1])]
 
 
 class FrameSymbols:
@@ -40,22 +69,23 @@ class FrameSymbols:
     Attributes
     ----------
     x, y : position, metres; vx, vy : velocity, m/s; body, head : angles, radians
+    angle : the one of these that a kernel names
     dt : seconds since the person's previous frame
     """
 
     def __init__(self, end: str = "") -> None:
         import sympy
 
-        self.x, self.y, self.vx, self.vy, self.body, self.head = (
-            sympy.Symbol(f"{name}{end}", real=True) for name in VARIABLES
+        self.x, self.y, self.vx, self.vy, self.body, self.head, self.angle = (
+            sympy.Symbol(f"{name}{end}", real=True) for name in (*VARIABLES, "angle")
         )
         self.dt = sympy.Symbol("dt", positive=True)
         self._inputs: dict[str, int] = {}  # name → size, 0 for one number
 
     @property
     def variables(self) -> list[sympy.Symbol]:
-        """The variables in the order of the state."""
-        return [self.x, self.y, self.vx, self.vy, self.body, self.head]
+        """The variables in the order of the state, and last the angle."""
+        return [self.x, self.y, self.vx, self.vy, self.body, self.head, self.angle]
 
     def input(self, name: str, size: int = 0) -> Any:
         """Return the input of a frame (`Track.inputs`): a number, or ``size`` of them.
@@ -74,68 +104,205 @@ class FrameSymbols:
         return self._inputs
 
 
-@dataclass(frozen=True, eq=False)
 class Derived:
-    """The kernel and the density of a function of residuals.
+    """What follows from a function of costs.
 
     Attributes
     ----------
-    now, before : places in the state of the variables that the residuals read
-    links : True if they read the previous frame
-    numbers, inputs : names of its numbers; name → size of its inputs
-    kernel : compiled
-    density : of arrays of its variables, ``dt``, numbers and inputs, as named in ``arguments``
-    """
-
-    now: tuple[int, ...]
-    before: tuple[int, ...]
-    links: bool
-    numbers: tuple[str, ...]
-    inputs: Mapping[str, int]
-    kernel: Function
-    density: Callable[..., Any]
-    arguments: tuple[str, ...]
-
-
-@cache
-def derived(function: Residuals) -> Derived:
-    """Derive the kernel and the density of a function of residuals.
+    name : of the function
+    links : True if it has the previous frame
+    numbers : names of its numbers
+    inputs : name → size of its inputs
 
     Raises
     ------
     InputError
-        For a function without a name, or whose residuals depend on no variable.
+        For a function without a name, or whose cost depends on no variable.
     """
+
+    def __init__(self, function: CostFunction, shapes: Shapes) -> None:
+        self.name = function.__name__
+        if not self.name.isidentifier():
+            raise InputError(f"a term from {self.name}", "a function with a name, by def")
+        names = list(inspect.signature(function).parameters)
+        self.links = names[:1] == ["before"]
+        now, before = FrameSymbols(), FrameSymbols("_before")
+        frames = [before, now] if self.links else [now]
+        self.numbers = tuple(names[len(frames) :])
+        numbers = {name: _symbols_of(name, shapes.get(name, ())) for name in self.numbers}
+        self._cost = _cost(function(*frames, **numbers))
+        self.inputs = {**before.inputs, **now.inputs}
+        used = _symbols([*self._cost.residuals, *([] if self._cost.value is None else [self._cost.value])])
+        every = [*_variables(now, ""), *_variables(before, "_before")]
+        self._variables = [one for one in every if one.symbol in used]
+        self._relative = [axis for axis in "xy" if self._is_relative(axis)]
+        if not self._variables:
+            raise InputError(f"a term {self.name} of no variable", f"one of {', '.join(VARIABLES)}")
+
+    def _is_relative(self, axis: str) -> bool:
+        """Return True if the cost depends only on differences of this coordinate, with a number of its name.
+
+        They are taken from the origin of the track, which keeps their digits.
+        """
+        import sympy
+
+        names = (axis, f"{axis}_before", f"number_{axis}")
+        every = [sympy.Symbol(name, real=True) for name in names]
+        slopes = (sum(one.diff(symbol) for symbol in every) for one in self._cost.residuals)
+        return all(sympy.simplify(slope) == 0 for slope in slopes)
+
+    def places(self, end: str) -> tuple[int, ...]:
+        """Places in the state of the variables that are read; of the previous frame for "_before"."""
+        return tuple(one.rank for one in self._variables if one.end == end)
+
+    @cached_property
+    def density(self) -> tuple[list[str], Callable[..., Any]]:
+        """Names of symbols, and the cost as a function of arrays of them."""
+        import sympy
+
+        value = sympy.Piecewise((self._value(self._cost.residuals), self._cost.where), (0, True))
+        used = sorted(value.free_symbols, key=str)
+        return [symbol.name for symbol in used], sympy.lambdify(used, value, "numpy")
+
+    def _value(self, residuals: Sequence[Any]) -> Any:
+        if self._cost.value is not None:
+            return self._cost.value
+        half = sum(one**2 for one in residuals) / 2
+        return half if self._cost.loss is None else self._cost.loss(half)
+
+    @cached_property
+    def source(self) -> str:
+        """Source of the kernel ``add_<name>``."""
+        body = self._of_value() if self._cost.value is not None else self._of_residuals()
+        return self._function("add", *body)
+
+    @cached_property
+    def cost_source(self) -> str:
+        """Source of ``cost_<name>``, which returns its cost alone."""
+        return self._function("cost", *_stepwise({"cost": self._value(self._cost.residuals)}))
+
+    def compiled(self, kind: str) -> Function:
+        """Compile ``add`` or ``cost``."""
+        source = self.source if kind == "add" else self.cost_source
+        module = module_of("term", f"{HEADER}\n\n{source}")
+        found: Function = getattr(module, f"{kind}_{self.name}")
+        return found
+
+    def _of_residuals(self) -> tuple[list[str], set[Any]]:
+        """Lines of a kernel from residuals, and the symbols that they read."""
+        import sympy
+
+        symbols = [one.symbol for one in self._variables]
+        n, named = len(symbols), dict[str, Any]()
+
+        def name(text: str, value: Any) -> Any:
+            """Return a name for an expression, or a number itself."""
+            if value.is_number:
+                return value
+            named[text] = value
+            return sympy.Symbol(text, real=True)
+
+        r = [name(f"r{k}", one) for k, one in enumerate(self._cost.residuals)]
+        jacobian = [
+            [name(f"j{k}_{i}", one.diff(symbol)) for i, symbol in enumerate(symbols)]
+            for k, one in enumerate(self._cost.residuals)
+        ]
+        pull = [sum(a * row[i] for a, row in zip(r, jacobian, strict=True)) for i in range(n)]
+        half, first, second = sum(one**2 for one in r) / 2, sympy.Integer(1), sympy.Integer(0)
+        cost = half
+        if self._cost.loss is not None:
+            s = sympy.Dummy(positive=True)
+            cost, first, second = (
+                sympy.sympify(self._cost.loss(s)).diff(s, order).subs(s, sympy.Symbol("half"))
+                for order in range(3)
+            )
+            named |= {"half": half, "weight": first, "bend": second}
+            first, second = sympy.Symbol("weight"), sympy.Symbol("bend")
+            named |= {f"pull{i}": one for i, one in enumerate(pull)}
+            pull = [sympy.Symbol(f"pull{i}") for i in range(n)]
+        sums, exactly = dict[str, Any](), dict[str, Any]()
+        for i, one in enumerate(self._variables):
+            sums[f"gradient{one.end}[{one.index}]"] = first * pull[i]
+            for j in range(i + 1):
+                block, newton = one.block(self._variables[j]), sympy.Integer(0)
+                bent = second * pull[i] * pull[j]
+                for k, residual in enumerate(self._cost.residuals):
+                    newton += first * jacobian[k][i] * jacobian[k][j]
+                    curve = residual.diff(symbols[i], symbols[j])
+                    bent += first * r[k] * name(f"c{k}_{i}_{j}", curve) if curve != 0 else 0
+                sums[block], exactly[block] = newton, bent
+        return _stepwise({**named, "cost": cost}, sums, exactly)
+
+    def _of_value(self) -> tuple[list[str], set[Any]]:
+        """The same from a value of one variable."""
+        import sympy
+
+        (one,) = self._variables
+        slope, value = f"gradient{one.end}[{one.index}]", self._cost.value
+        assert value is not None
+        curve, least = sympy.Symbol("curve"), self._cost.least
+        named = {"cost": value, "curve": value.diff(one.symbol, 2)}
+        short = sympy.Max(0, least - curve) if least is not None else sympy.Integer(0)
+        block = one.block(one)
+        return _stepwise(named, {slope: value.diff(one.symbol), block: curve + short}, {block: -short})
+
+    def _offset(self, one: _Variable, sign: str = "") -> str:
+        """The offset that makes a coordinate one of the world; empty for others, and for differences."""
+        axis = VARIABLES[one.rank] if one.rank < 2 else ""
+        return f"{sign}origin_{axis}" if axis and axis not in self._relative else ""
+
+    def _function(self, kind: str, lines: list[str], read: set[Any]) -> str:
+        where = self._cost.where
+        read = read | (_symbols([where]) if where is not True else set())
+        opened = [one for one in self._variables if one.symbol in read]
+        start = [f"    {one.symbol} = {one.place}{self._offset(one, ' + ')}" for one in opened]
+        for axis in self._relative:
+            if f"number_{axis}" in {symbol.name for symbol in read}:
+                start += [f"    number_{axis} = number_{axis} - origin_{axis}"]
+        start += [] if where is True else [f"    if not ({_text(where)}):", "        return 0.0"]
+        arguments = {symbol.name.partition("[")[0] for symbol in read} - {one.symbol.name for one in opened}
+        arguments |= {one.state for one in opened} | {self._offset(one) for one in opened} - {""}
+        arguments |= {f"origin_{axis}" for axis in self._relative if f"number_{axis}" in arguments}
+        if kind == "add":
+            ends = dict.fromkeys(one.end for one in self._variables)
+            start += [
+                f"    {part}{end} = sums.{part}{end}" for part in ("gradient", "hessian") for end in ends
+            ]
+            start += ["    transition = sums.transition"] if len(ends) > 1 else []
+            arguments |= {"sums", "exact"}
+            arguments |= {"place"} if any(one.index == "place" for one in self._variables) else set()
+        named = ", ".join(f"{one}: Any" for one in sorted(arguments))
+        head = f"@compiled\ndef {kind}_{self.name}({named}) -> float:"
+        return "\n".join([head, *start, *lines, "    return cost"])
+
+
+@cache
+def derived(function: CostFunction, shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()) -> Derived:
+    """Derive a function once; ``shapes``: of those of its numbers that are arrays, by name."""
+    return Derived(function, dict(shapes))
+
+
+def _symbols_of(name: str, shape: tuple[int, ...]) -> Any:
+    """Symbols of a number, or of an array."""
     import sympy
 
-    if not function.__name__.isidentifier():
-        raise InputError(f"a term from {function.__name__}", "a function with a name, by def")
-    names = list(inspect.signature(function).parameters)
-    links = names[:1] == ["before"]
-    now, before = FrameSymbols(), FrameSymbols("_before")
-    frames = [before, now] if links else [now]
-    numbers = {name: sympy.Symbol(f"number_{name}", real=True) for name in names[len(frames) :]}
-    given = _flat(function(*frames, **numbers))
+    def symbol(*index: int) -> Any:
+        element = f"[{', '.join(map(str, index))}]" if index else ""
+        return sympy.Symbol(f"number_{name}{element}", real=True)
+
+    def array(sizes: tuple[int, ...], *index: int) -> Any:
+        return [array(sizes[1:], *index, i) for i in range(sizes[0])] if sizes else symbol(*index)
+
+    return array(shape)
+
+
+def _cost(given: Any) -> Cost:
+    import sympy
+
+    found = given if isinstance(given, Cost) else Cost(_flat(given))
     # A piecewise function is differentiated piece by piece, without Dirac's delta at its limits.
-    given = [sympy.sympify(residual).rewrite(sympy.Piecewise) for residual in given]
-    residuals = [sympy.expand_trig(residual) for residual in given]
-    cost = sum((residual**2 for residual in residuals), sympy.Integer(0)) / 2
-    used = sorted(cost.free_symbols, key=str)
-    of_now, of_before = (
-        tuple(k for k, symbol in enumerate(frame.variables) if symbol in used) for frame in (now, before)
-    )
-    if not of_now + of_before:
-        raise InputError(f"a term {function.__name__} of no variable", f"one of {', '.join(VARIABLES)}")
-    return Derived(
-        now=of_now,
-        before=of_before,
-        links=links,
-        numbers=tuple(numbers),
-        inputs={**before.inputs, **now.inputs},
-        kernel=_compiled(function.__name__, _source(function.__name__, residuals, cost, now, before)),
-        density=sympy.lambdify(used, cost, "numpy"),
-        arguments=tuple(symbol.name for symbol in used),
-    )
+    plain = [sympy.sympify(one).rewrite(sympy.Piecewise) for one in found.residuals]
+    return replace(found, residuals=[sympy.expand_trig(one) for one in plain])
 
 
 def _flat(given: Any) -> list[Any]:
@@ -144,68 +311,99 @@ def _flat(given: Any) -> list[Any]:
     return [given]
 
 
-def _compiled(name: str, source: str) -> Function:
-    """Compile a kernel. Its program imports it, so its module is known to Python."""
-    module_name = f"term_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
-    module = sys.modules[module_name] = ModuleType(module_name)
-    exec(compile(source, f"<{module_name}>", "exec"), vars(module))
-    made: Function = getattr(module, f"add_{name}")
-    return made
+def _symbols(expressions: Iterable[Any]) -> set[Any]:
+    return set().union(*(one.free_symbols for one in expressions))
 
 
-_HEADER = """from __future__ import annotations
-import math
-from typing import Any
-from graphtrack.kernels.compilation import compiled
-
-@compiled"""
-_ARRAYS = ("state", "before", "gradient", "hessian", "gradient_before", "hessian_before", "transition")
-
-
-def _source(
-    name: str, residuals: Iterable[sympy.Expr], cost: sympy.Expr, now: FrameSymbols, before: FrameSymbols
-) -> str:
-    """Return the source of a kernel: cost, gradient and curvature; see `graphtrack.kernels.Kernel`."""
+def _stepwise(
+    named: Mapping[str, Any], sums: Mapping[str, Any] | None = None, exactly: Mapping[str, Any] | None = None
+) -> tuple[list[str], set[Any]]:
+    """Lines that assign names and add to sums, some for ``exact`` alone, and the symbols that they read."""
     import sympy
+
+    sums, exactly = sums or {}, {name: one for name, one in (exactly or {}).items() if one != 0}
+    every = [_turned(one) for one in (*named.values(), *sums.values(), *exactly.values())]
+    # Assigned in this order: each may read those before it.
+    own = {sympy.Symbol(name, real=True) for name in named} | {sympy.Symbol(name) for name in named}
+    later = [k for k, one in enumerate(every) if one.free_symbols & own]
+    steps, reduced = sympy.cse(
+        [one for k, one in enumerate(every) if k not in later], sympy.numbered_symbols("step_")
+    )
+    values = iter(reduced)
+    every = [one if k in later else next(values) for k, one in enumerate(every)]
+    texts = [_text(one) for one in every]
+    lines = [f"    {symbol} = {_text(value)}" for symbol, value in steps]
+    lines += [f"    {name} = {text}" for name, text in zip(named, texts, strict=False)]
+    texts = texts[len(named) :]
+    lines += [f"    {name} += {text}" for name, text in zip(sums, texts, strict=False) if text != "0"]
+    lines += ["    if exact:"] if exactly else []
+    lines += [f"        {name} += {text}" for name, text in zip(exactly, texts[len(sums) :], strict=True)]
+    read = _symbols([*every, *(value for _, value in steps)]) - own - {symbol for symbol, _ in steps}
+    return lines, read
+
+
+def _turned(expression: Any) -> Any:
+    """Replace cosines and sines of angles by the symbols that kernels are given."""
+    import sympy
+
+    for end in ("", "_before"):
+        for name in ("body", "head", "angle"):
+            angle = sympy.Symbol(f"{name}{end}", real=True)
+            cos, sin = (sympy.Symbol(f"{name}_{of}{end}", real=True) for of in ("cos", "sin"))
+            expression = expression.subs({sympy.cos(angle): cos, sympy.sin(angle): sin})
+    return expression
+
+
+def _text(expression: Any) -> str:
+    return _printer().doprint(expression)
+
+
+@cache
+def _printer() -> Any:
     from sympy.printing.pycode import PythonCodePrinter
 
-    variables = [one for one in _variables(now, before) if one.symbol in cost.free_symbols]
-    symbols = [one.symbol for one in variables]
-    slopes = sympy.Matrix([cost]).jacobian(symbols)
-    jacobian = sympy.Matrix(list(residuals)).jacobian(symbols)
-    newton, exact = jacobian.T * jacobian, slopes.jacobian(symbols)
-    pairs = [(i, j) for i in range(len(variables)) for j in range(i + 1)]
-    turned = _turned(now) | _turned(before)
-    wanted = [cost, *slopes, *(newton[pair] for pair in pairs), *(exact[pair] for pair in pairs)]
-    wanted = [one.subs(turned) for one in wanted]
-    steps, values = sympy.cse(wanted, sympy.numbered_symbols("step_"))
-    write = PythonCodePrinter({"fully_qualified_modules": True}).doprint
-    texts = iter([write(value) for value in values])
-    returned = f"    return {next(texts)}"
-    read = set().union(*(value.free_symbols for value in [*values, *(value for _, value in steps)]))
-    read -= {symbol for symbol, _ in steps}
-    opened = [one for one in _variables(now, before) if one.symbol in read]
-    body = [f"    {one.symbol} = {one.place}{one.origin and f' + {one.origin}'}" for one in opened]
-    body += [f"    {symbol} = {write(value)}" for symbol, value in steps]
-    body += [f"    gradient{one.end}[{one.index}] += {next(texts)}" for one in variables]
-    for condition in ("if not exact:", "else:"):
-        body += [f"    {condition}"]
-        body += [f"        {variables[i].block(variables[j])} += {next(texts)}" for i, j in pairs]
-    arguments = {symbol.name for symbol in read} - {one.symbol.name for one in opened}
-    arguments |= {part for one in opened for part in (one.state, one.origin) if part}
-    arguments |= {"exact", *(f"{part}{one.end}" for part in ("gradient", "hessian") for one in variables)}
-    arguments |= {"transition"} if any(one.end for one in variables) else set()
-    typed = ", ".join(f"{one}: {'Any' if one in _ARRAYS else 'float'}" for one in sorted(arguments))
-    return "\n".join([_HEADER, f"def add_{name}({typed}) -> float:", *body, returned])
+    class Printer(PythonCodePrinter):
+        """Numba computes whole powers by products, and others by a slow call."""
+
+        def _print_Pow(self, expression: Any, rational: bool = False) -> str:
+            base, exponent = expression.as_base_exp()
+            if exponent.is_Rational and exponent.q == 2 and abs(exponent.p) != 1:
+                return f"math.sqrt({self._print(base)})**({exponent.p})"
+            return str(super()._print_Pow(expression, rational))
+
+    return Printer({"fully_qualified_modules": True})
+
+
+HEADER = """from __future__ import annotations
+
+import math
+from typing import Any
+
+from graphtrack.kernels.compilation import compiled
+"""
+
+
+def module_of(name: str, source: str) -> ModuleType:
+    """Return a module with a source. What is compiled from it names it, so it is known to Python."""
+    full = f"{name}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
+    if full not in sys.modules:
+        module = sys.modules[full] = ModuleType(full)
+        exec(compile(source, f"<{full}>", "exec"), vars(module))
+    return sys.modules[full]
 
 
 @dataclass(frozen=True)
 class _Variable:
     """A number of the state of a frame, or with the ``end`` _before of the previous frame."""
 
-    symbol: sympy.Symbol
-    index: int
+    symbol: Any
+    rank: int
     end: str
+
+    @property
+    def index(self) -> str:
+        """Its index in the state."""
+        return str(self.rank) if self.rank < len(VARIABLES) else "place"
 
     @property
     def state(self) -> str:
@@ -217,31 +415,14 @@ class _Variable:
         """The element with it."""
         return f"{self.state}[{self.index}]"
 
-    @property
-    def origin(self) -> str:
-        """The offset that makes a coordinate one of the world; empty for others."""
-        return f"origin_{VARIABLES[self.index]}" if self.index < 2 else ""
-
     def block(self, other: _Variable) -> str:
         """The element of the second derivative by both; those of the previous frame come last."""
         if self.end != other.end:
             return f"transition[{self.index}, {other.index}]"
-        high, low = max(self.index, other.index), min(self.index, other.index)
-        return f"hessian{self.end}[{high}, {low}]"
+        high, low = (self, other) if self.rank >= other.rank else (other, self)
+        return f"hessian{self.end}[{high.index}, {low.index}]"
 
 
-def _variables(now: FrameSymbols, before: FrameSymbols) -> Iterator[_Variable]:
-    for frame, end in ((now, ""), (before, "_before")):
-        for k, symbol in enumerate(frame.variables):
-            yield _Variable(symbol, k, end)
-
-
-def _turned(frame: FrameSymbols) -> dict[sympy.Expr, sympy.Symbol]:
-    """Cosines and sines of angles, which kernels are given."""
-    import sympy
-
-    return {
-        of(angle): sympy.Symbol(angle.name.replace(name, f"{name}_{of.__name__}"))
-        for name, angle in (("body", frame.body), ("head", frame.head))
-        for of in (sympy.cos, sympy.sin)
-    }
+def _variables(frame: FrameSymbols, end: str) -> Iterator[_Variable]:
+    for rank, symbol in enumerate(frame.variables):
+        yield _Variable(symbol, rank, end)

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from graphtrack.errors import GraphtrackError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Kernel, N
+from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N, Sums
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Step
-from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks
+from graphtrack.model.packing import PackedTracks
 from graphtrack.packages import gtsam
 
 
@@ -141,25 +142,12 @@ def numerical_jacobians(
 _SMALLEST_PIVOT = 1e-14  # Relative to the greatestpivot; smaller pivots are rounding errors
 
 _CONSTANTS: dict[str, Any] = {
-    "BODY": BODY,
-    "HEAD": HEAD,
+    "at_body": BODY,
+    "at_head": HEAD,
     "exact": False,
     "origin_x": 0.0,
     "origin_y": 0.0,
-    "body_directions": CLASS_DIRECTIONS[0],
-    "head_directions": CLASS_DIRECTIONS[1],
 }
-
-_SCRATCH = {
-    "before": 0,
-    "state": 1,
-    "gradient_before": 2,
-    "gradient": 3,
-    "hessian_before": 4,
-    "hessian": 5,
-    "transition": 6,
-}
-"""Arguments of kernels, states to read and arrays to add to, in the order of `_Evaluation`'s arrays."""
 
 
 def kernel_factors(
@@ -184,16 +172,16 @@ class _Call:
 
     def __init__(self, kernel: Kernel, packed: PackedTracks) -> None:
         self.kernel = kernel
+        arguments = kernel.arguments(kernel.compiled)
         given: dict[str, Any] = dict(_CONSTANTS)
         for row in (packed.records[0], packed.shared[0]):
-            for name in set(kernel.arguments).intersection(row.dtype.names or ()):
+            for name in set(arguments).intersection(row.dtype.names or ()):
                 given[name] = float(row[name]) if np.ndim(row[name]) == 0 else np.array(row[name])
         for name in ("body_heights", "head_heights"):
             heights = getattr(packed, name)
             given[name] = heights[0] if len(heights) else None
-        self.arguments = [given.get(name, 0.0) for name in kernel.arguments]
-        self.place = {name: i for i, name in enumerate(kernel.arguments)}
-        self.scratch = [(self.place[name], name) for name in _SCRATCH if name in self.place]
+        self.arguments = [given.get(name, 0.0) for name in arguments]
+        self.place = {name: i for i, name in enumerate(arguments)}
         # (variable, indices of its cosine and sine among the arguments, True for the previous frame)
         self.variables = [
             (name, self.place.get(f"{name}_cos{end}"), self.place.get(f"{name}_sin{end}"), earlier)
@@ -242,13 +230,12 @@ class _Evaluation:
     """A kernel at one step, called with GTSAM's values; GTSAM copies ``residual`` and ``jacobian``."""
 
     def __init__(self, call: _Call, live: Sequence[tuple[str, float]], keys: Sequence[int]) -> None:
-        self._function, self._columns = call.kernel.function, call.columns
+        self._function, self._columns = call.kernel.compiled, call.columns
         states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
-        scratch = (*states, *self._gradients, *self._hessians)
+        (before, state), (hessian_before, hessian, transition) = states, self._hessians
+        sums = Sums(self._gradients[0], self._gradients[1], hessian_before, hessian, transition)
         self._arguments = list(call.arguments)
-        for place, name in call.scratch:
-            self._arguments[place] = scratch[_SCRATCH[name]]
-        for name, value in live:
+        for name, value in (("before", before), ("state", state), ("sums", sums), *live):
             if name in call.place:
                 self._arguments[call.place[name]] = value
         # Preallocated slices of the states: making a slice takes longer than writing to it.

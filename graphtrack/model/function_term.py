@@ -10,14 +10,12 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import Field, Kernel, VariableName
-from graphtrack.model.derivation import VARIABLES, Residuals, derived
-from graphtrack.model.observation import States
+from graphtrack.kernels.layout import Field, VariableName
+from graphtrack.model.derivation import CostFunction, derived
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term
-from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import is_number
 
 _VARIABLE_OF: tuple[VariableName, ...] = ("position", "position", "velocity", "velocity", "body", "head")
@@ -28,7 +26,7 @@ class FunctionTerm(Term):
 
     Parameters
     ----------
-    function : see `Residuals`
+    function : see `CostFunction`
     numbers : by name, all that the function has
     place : number among the terms of the same function's name in a model, from 1
     parameters : of the model
@@ -36,7 +34,7 @@ class FunctionTerm(Term):
 
     def __init__(
         self,
-        function: Residuals,
+        function: CostFunction,
         numbers: Mapping[str, float],
         place: int = 1,
         parameters: Parameters | None = None,
@@ -53,7 +51,7 @@ class FunctionTerm(Term):
         prefix = f"own_{self.label}" + (f"_{place}" if place > 1 else "")
         self._gate = f"gate_of_{prefix}"  # unlike the names of numbers and inputs
         variables, before = (
-            tuple(dict.fromkeys(_VARIABLE_OF[k] for k in side)) for side in (known.now, known.before)
+            tuple(dict.fromkeys(_VARIABLE_OF[k] for k in known.places(end))) for end in ("", "_before")
         )
         numbers_of = {f"number_{name}": f"{prefix}_{name}" for name in known.numbers}
         inputs_of = {
@@ -64,7 +62,7 @@ class FunctionTerm(Term):
         # Set on the instance: those of a class are of all its terms.
         own: Any = vars(self)
         own["uses"] = frozenset(name for name in (*variables, *before) if name in ("body", "head"))
-        own["kernels"] = (Kernel(known.kernel, self._gate, variables, before, names=numbers_of | inputs_of),)
+        own["kernels"] = (Kernel(function, self._gate, variables, before, names=numbers_of | inputs_of),)
         own["fields"] = (
             Field(self._gate, "1 where the term acts"),
             *(Field(name, "") for name in inputs_of.values()),
@@ -108,19 +106,6 @@ class FunctionTerm(Term):
         for name, value in self.numbers.items():
             packed.shared[names[f"number_{name}"]] = value
 
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """½·‖r‖², summed over the frames where the term acts."""
-        rows = np.column_stack([states.position, states.velocity, states.body, states.head])
-        values: dict[str, FloatArray] = {"dt": track.dt}
-        for k, name in enumerate(VARIABLES):
-            values[name], values[f"{name}_before"] = rows[:, k], np.roll(rows[:, k], 1)
-        acts, inputs = self._inputs(track.input, len(track))
-        acts[: 1 if self._derived.links else 0] = False
-        values |= inputs
-        values |= {f"number_{name}": np.full(len(track), value) for name, value in self.numbers.items()}
-        given = [values[name][acts] for name in self._derived.arguments]
-        return float(np.sum(np.broadcast_to(self._derived.density(*given), acts.sum())))
-
     def _inputs(self, read: Callable[..., FloatArray], n: int) -> tuple[BoolArray, dict[str, FloatArray]]:
         """Return where all inputs are known (n,), and their columns (n,) by the names of their symbols."""
         known, columns = np.ones(n, bool), dict[str, FloatArray]()
@@ -131,7 +116,7 @@ class FunctionTerm(Term):
         return known, columns
 
 
-def term(function: Residuals, **numbers: float) -> FunctionTerm:
+def term(function: CostFunction, **numbers: float) -> FunctionTerm:
     """Return a term of your own, for `Model`, from one function of a frame's variables.
 
     Cost, derivatives, the kernel of the compiled engine and the factor of GTSAM follow from it. Several terms
@@ -140,7 +125,7 @@ def term(function: Residuals, **numbers: float) -> FunctionTerm:
     Parameters
     ----------
     function : ``f(now, …)`` for a term of a frame, ``f(before, now, …)`` for one between two frames; see
-        `FrameSymbols` for both and `Residuals` for what it returns, such as `chord`
+        `FrameSymbols` for both and `CostFunction` for what it returns, such as `chord`
     **numbers : the values of its other parameters
 
     Raises

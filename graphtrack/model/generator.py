@@ -1,6 +1,6 @@
-"""Frame programs: the kernels of a list of terms, called one after another, for floats and for lanes.
+"""Frame programs: the kernels of a list of terms, called one after another.
 
-Compiled code calls `add_frame`, `cut` and `set_quarter_turns`; the type of the problem's records selects the
+Compiled code calls `add_frame`, `cut` and `orientation_costs`; the type of the problem's records selects the
 program: that of the package's terms (`program`), or one generated for a user's terms. Loops over kernels
 could not be inlined or cached. ``python -m graphtrack.model.generator`` writes `program`; a test compares
 it.
@@ -10,23 +10,21 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import sys
 import textwrap
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable
 from functools import cache
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import types
 from numba.extending import overload
 
-from graphtrack.errors import InputError
 from graphtrack.kernels.compilation import INNER, OPTIONS
-from graphtrack.kernels.lanes import LaneArrayType
-from graphtrack.kernels.layout import DT, Field, Function, Kernel, arguments_of, record_type
+from graphtrack.kernels.layout import DT, Field, record_type
 from graphtrack.model import Model, Term, program
+from graphtrack.model.derivation import HEADER, module_of
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
 
@@ -39,10 +37,7 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
-        if isinstance(kind, LaneArrayType):
-            fields = kind.places
-        else:
-            fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
+        fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
         return getattr(_FUNCTIONS[tuple(fields)], name).py_func
 
     # Numba compares the parameters' names.
@@ -52,74 +47,57 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
     return stub
 
 
-def _of_problem(problem: Any, *_arguments: Any) -> Any:
+def _of_chain(chain: Any, *_arguments: Any) -> Any:
+    problem = chain.types[chain.instance_class._fields.index("problem")]
     return problem.types[problem.instance_class._fields.index("records")]
 
 
-add_frame = _chosen("add_frame", _of_problem)
-set_quarter_turns = _chosen("set_quarter_turns", _of_problem)
+add_frame = _chosen("add_frame", _of_chain)
+orientation_costs = _chosen("orientation_costs", _of_chain)
 cut = _chosen("cut", lambda frame: frame)
 
 
 _TURNS = ("body_cos", "body_sin", "head_cos", "head_sin")
 _GIVEN = {
-    **{name: name for name in ("state", "before", "start", "exact", *_TURNS)},
+    **{name: name for name in ("state", "before", "exact", "sums", "at_body", "at_head", *_TURNS)},
     **{f"{name}_before": f"{name}_before" for name in _TURNS},
-    **{
-        f"{name}{end}": f"masked(sums{end}.{name}, gate)"
-        for name in ("gradient", "hessian")
-        for end in ("", "_before")
-    },
-    "transition": "masked(transition, gate)",
-    "origin_x": "problem.origin[track, 0]",
-    "origin_y": "problem.origin[track, 1]",
-    "body_heights": "problem.body_heights[place]",
-    "head_heights": "problem.head_heights[place]",
-    "body_directions": "problem.body_directions",
-    "head_directions": "problem.head_directions",
-    "BODY": "at_body",
-    "HEAD": "at_head",
+    "body_start": "start[BODY]",
+    "head_start": "start[HEAD]",
+    "origin_x": "problem.origin[chain.track, 0]",
+    "origin_y": "problem.origin[chain.track, 1]",
+    "body_heights": "problem.body_heights[row]",
+    "head_heights": "problem.head_heights[row]",
 }
-"""Parameters of kernels that are not fields → the expressions passed for them."""
+"""Arguments of kernels that are not fields → the expressions passed for them."""
 
-_HEADER = '''"""The frame program of {title}.
+_TITLE = '''"""The frame program of {title}, with its kernels.
 
 Written by `graphtrack.model.generator`; not to be edited.
 """
 # fmt: off
-
-from __future__ import annotations
-
-import math
-from typing import Any
-
-{imports}
-from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.kernels.layout import BODY, HEAD, Problem, Sums
+# ruff: noqa
+# mypy: ignore-errors
 
 '''
 
-_FRAME = '''
-@compiled
+_FRAME = '''@compiled
 def add_frame(
-    problem: Problem, track: int, k: int, start: Any, states: Any, exact: bool, links: bool, own: bool,
-    turns: Any, sums_before: Sums, sums: Sums, transition: Any,
-) -> Any:
+    chain: Chain, k: int, states: Any, start: Any, exact: bool, part: int, turns: Any, sums: Sums
+) -> float:
     """Add the terms of frame k of a track; returns their cost.
 
-    ``links``: terms between the frame and the previous one; ``own``: terms of the frame alone. ``turns``
-    (n, 4) are read for the previous frame, and set for frame k.
+    ``part``: terms between the frame and the previous one, of the frame alone, or both. ``turns`` (n, 4),
+    cosine and sine of body and head, are read for the previous frame, and set for frame k.
     """
-    place = problem.offsets[track] + k
-    frame, state, shared = problem.records[place], states[k], problem.shared[0]
+    problem = chain.problem
+    row = problem.offsets[chain.track] + k
+    frame, shared, state, cost = problem.records[row], problem.shared[0], states[k], 0.0
     # Sums: kernels are compiled again for each constant argument.
     at_body, at_head = BODY + 0, HEAD + 0
     body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
     head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
     turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
-    cost = 0.0 * body_cos
-    if links and k > 0:
+    if part != OWN and k > 0:
         before = states[k - 1]
         body_cos_before, body_sin_before = turns[k - 1, 0], turns[k - 1, 1]
         head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
@@ -131,23 +109,17 @@ def cut(frame: Any) -> None:
     """Remove a frame's links to the previous one from its record."""
 '''
 
-_QUARTERS = '''
+_COSTS = '''
 @compiled
-def set_quarter_turns(
-    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, sums: Sums, body: Any,
-    head: Any,
-) -> None:
-    """Costs of frame k with body or head at the directions ``turns``, and at their quarter turns.
+def orientation_costs(chain: Chain, k: int, state: Any, turns: Any) -> tuple[float, float]:
+    """Costs of frame k that depend on body alone, and on head alone, at some directions.
 
-    ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
-    filled in. ``sums`` is memory.
+    ``turns`` (4,) are cosine and sine of the body's direction and of the head's.
     """
-    place = problem.offsets[track] + k
-    frame, shared = problem.records[place], problem.shared[0]
-    at_body, at_head = BODY + 0, HEAD + 0
+    problem = chain.problem
+    row = problem.offsets[chain.track] + k
+    frame, shared, body, head = problem.records[row], problem.shared[0], 0.0, 0.0
     body_cos, body_sin, head_cos, head_sin = turns[0], turns[1], turns[2], turns[3]
-    for q in range(4):
-        body[q] = head[q] = 0.0 * body_cos
 '''
 
 
@@ -203,40 +175,46 @@ class FrameProgram:
         if double:
             raise ValueError(f"found two fields named {', '.join(sorted(double))}, expected other names")
         self.types = RecordTypes(record_type(frame), record_type(shared))
-        self._kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
-        self.links = tuple(dict.fromkeys(kernel.gate for kernel in self._kernels if kernel.before))
-        self._modules: dict[str, str] = {}
+        self.kernels = tuple(dict.fromkeys(kernel for term in terms for kernel in term.kernels))
+        self.links = tuple(dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before))
         self._frame_names = {f.name for f in frame}
         self._known = {f.name: f"shared.{f.name}" for f in shared} | _GIVEN
         self._known |= {name: f"frame.{name}" for name in self._frame_names}
 
-    @property
-    def source(self) -> str:
-        """The text of its functions."""
-        body = self._frame() + self._cut() + self._quarter_turns()
-        aliases = sorted(self._modules.items(), key=lambda alias: alias[1])
-        imports = "\n".join(f"import {module} as {alias}" for alias, module in aliases)
-        return _HEADER.format(title=self._title, imports=imports) + body
+    def source(self, *, of_presets: bool = False) -> str:
+        """The text of its functions; those of the presets' kernels are imported, or written too."""
+        written = dict[str, None]()
+        for kernel in self.kernels:
+            if of_presets or not kernel.is_of_presets:
+                written[kernel.derived.source] = None
+                if kernel.is_tabulated:
+                    written[kernel.derived.cost_source] = None
+        imports = "from graphtrack.kernels.layout import BODY, HEAD, LINKS, OWN, Chain, Sums\n"
+        if not of_presets:
+            imports += "from graphtrack.model.program import *\n"
+        body = "\n\n\n".join([*written, self._frame() + self._cut() + self._costs()])
+        listed = ""
+        if of_presets:
+            listed = "\nFUNCTIONS = {\n"
+            for function in dict.fromkeys(kernel.function for kernel in self.kernels):
+                listed += (
+                    f'    "{function.__name__}": ("{function.__module__}", "{function.__qualname__}"),\n'
+                )
+            listed += (
+                '}\n"""The functions that kernels are derived from: name → module and qualified name."""\n'
+            )
+        return _TITLE.format(title=self._title) + HEADER + imports + "\n\n" + body + listed
 
-    def _name(self, function: Function) -> str:
-        """The name of a function in the program, which imports its module."""
-        module, name = function.__module__, getattr(function, "py_func", function).__name__
-        alias = f"{module.rpartition('.')[2]}_kernels"
-        while self._modules.setdefault(alias, module) != module:
-            alias += "_"
-        return f"{alias}.{name}"
-
-    def _call(self, line: str, function: Function, names: Mapping[str, str], here: Mapping[str, str]) -> str:
-        """A line with the call of a function at its ``{}``.
-
-        Its parameters are renamed by ``names`` and replaced by ``here``.
-        """
-        known, given = {**self._known, **here}, arguments_of(function, names)
+    def _call(self, line: str, kernel: Kernel, kind: str) -> str:
+        """A line with the call of a kernel's function at its ``{}``."""
+        function = kernel.derived.compiled(kind)
+        given = kernel.arguments(function)
         for name in given:
-            if name not in known:
+            if name not in self._known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        line = line.format(f"{self._name(function)}({', '.join(known[name] for name in given)})")
+        call = f"{kind}_{kernel.derived.name}({', '.join(self._known[name] for name in given)})"
+        line = line.format(call)
         space = " " * (len(line) - len(line.lstrip()))
         return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"
 
@@ -246,41 +224,30 @@ class FrameProgram:
             raise ValueError(f"found the gate {kernel.gate!r}, expected a field of the record")
         gate = f"frame.{kernel.gate} > 0.0"
         if kernel.unless in self._frame_names:
-            gate = f"({gate}) & negate(frame.{kernel.unless} > 0.0)"
-        return textwrap.indent(f"gate = {gate}\nif any_of(gate):\n", " " * indent)
+            gate += f" and not frame.{kernel.unless} > 0.0"
+        return f"{' ' * indent}if {gate}:\n"
 
     def _frame(self) -> str:
         text = _FRAME
         for links in (True, False):
-            text += "" if links else "    if own:\n"
-            for kernel in self._kernels:
+            text += "" if links else "    if part != LINKS:\n"
+            for kernel in self.kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
-                    line = " " * 12 + "cost += choose(gate, {}, 0.0)"
-                    text += self._call(line, kernel.function, kernel.names, {})
+                    text += self._call(" " * 12 + "cost += {}", kernel, "add")
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
         return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in self.links) + "\n"
 
-    def _quarter_turns(self) -> str:
-        """Calls of the kernels that the basin search tabulates."""
-        text = _QUARTERS
-        for kernel in self._kernels:
-            name = kernel.orientation
-            if name is None or "start" in kernel.arguments:
-                continue
-            text += self._opened(kernel, 4)
-            if kernel.add_quarter_turns is not None:
-                here = {"cost": f"masked({name}, gate)"}
-                text += self._call(" " * 8 + "{}", kernel.add_quarter_turns, kernel.names, here)
-                continue
-            here = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
-            text += f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
-            line = " " * 12 + name + "[q] += choose(gate, {}, 0.0)"
-            text += self._call(line, kernel.function, kernel.names, here)
-            text += "            cos, sin = -sin, cos\n"
-        return text
+    def _costs(self) -> str:
+        """Calls of the costs that the basin search tabulates."""
+        text = _COSTS
+        for kernel in self.kernels:
+            if kernel.is_tabulated:
+                text += self._opened(kernel, 4)
+                text += self._call(f"        {kernel.orientation} += {{}}", kernel, "cost")
+        return text + "    return body, head\n"
 
 
 _OF_PRESETS = [Contribution.of(kind.__name__, kind) for kind in every_term()]
@@ -300,22 +267,13 @@ def _program_of(terms: tuple[Contribution, ...]) -> FrameProgram:
     """The program of a list of terms: the presets' if it has all of them, else a generated one."""
     if _parts(terms) <= _parts(_OF_PRESETS):
         return OF_PRESETS
-    functions = [
-        function
-        for term in terms
-        for kernel in term.kernels
-        for function in (kernel.function, kernel.add_quarter_turns)
-        if function is not None
-    ]
-    for function in functions:
-        _check(function)
     title = ", ".join(term.name for term in terms)
-    name = f"program_{_digest(functions)}"
+    sources = [kernel.derived.source for term in terms for kernel in term.kernels if not kernel.is_of_presets]
     # The names of the record's fields distinguish the solver's machine code on disk.
+    name = f"program_{hashlib.sha256(repr((sources, terms)).encode()).hexdigest()[:16]}"
     made = FrameProgram(terms, title, _OF_PRESETS, Field(name, "program of the record"))
     # Machine code on disk names the module of each function, which is imported when it is loaded.
-    module = sys.modules[name] = ModuleType(name)
-    exec(compile(made.source, f"<{name}>", "exec"), vars(module))
+    module: ModuleType = module_of("program", made.source())
     _FUNCTIONS[made.types.frame.names or ()] = module
     return made
 
@@ -325,34 +283,6 @@ def _parts(terms: Iterable[Contribution]) -> set[Hashable]:
     return {one for term in terms for one in (*term.fields, *term.shared, *term.kernels)}
 
 
-def _check(function: Function) -> None:
-    """Raise InputError for a function that the program could not import."""
-    name = getattr(function, "py_func", function).__name__
-    if getattr(sys.modules.get(function.__module__), name, None) is not function:
-        raise InputError(
-            f"the kernel {name}, which is not an attribute of its module",
-            "a function at the top of a module, a script or a notebook",
-        )
-
-
-def _digest(functions: Iterable[Function]) -> str:
-    """A digest of everything that the machine code of some functions depends on."""
-    digest, waiting, known = hashlib.sha256(), list(functions), set[int]()
-    while waiting:
-        function = getattr(waiting.pop(), "py_func", None)
-        if function is None or id(function) in known:
-            continue
-        known.add(id(function))
-        code, used = function.__code__, inspect.getclosurevars(function)
-        digest.update(f"{function.__module__}.{function.__qualname__}".encode() + code.co_code)
-        digest.update(repr([one for one in code.co_consts if not isinstance(one, CodeType)]).encode())
-        for name, value in sorted({**used.globals, **used.nonlocals}.items()):
-            if hasattr(value, "py_func"):
-                waiting.append(value)
-            elif isinstance(value, bool | int | float | str | tuple | np.ndarray):
-                digest.update(f"{name}={value!r}".encode())
-    return digest.hexdigest()[:16]
-
-
 if __name__ == "__main__":
-    Path(__file__).with_name("program.py").write_text(OF_PRESETS.source, encoding="utf-8")
+    text = OF_PRESETS.source(of_presets=True)
+    Path(__file__).with_name("program.py").write_text(text, encoding="utf-8")

@@ -10,12 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
-
-CLASS_DIRECTIONS = unit(class_centres(BODY_CLASSES)), unit(class_centres(HEAD_CLASSES))
-"""Cosines and sines (classes, 2) of the centres of the classes of body and head."""
 
 
 @dataclass(eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
@@ -10,8 +9,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import DT, Field, Kernel, record_type
+from graphtrack.kernels.layout import DT, Field, record_type
 from graphtrack.model.factors import kernel_factors
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import CHANNELS, Observation, States, Step
 from graphtrack.model.packing import PackedTracks, RecordTypes
 from graphtrack.model.parameters import Parameters
@@ -21,7 +21,7 @@ from graphtrack.tracks.track import Track
 Variable = Literal["body", "head"]
 
 
-class Term(ABC):
+class Term:
     """One term of the model: its density, and its kernels and factors.
 
     A subclass is a whole new term; docs/how-to/own-term.md has an example. It defines `cost`, and then either
@@ -61,9 +61,11 @@ class Term(ABC):
         """The class or function whose docstring describes the term."""
         return type(self)
 
-    @abstractmethod
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Negative log density of a whole track, vectorised over frames: the sum of the kernels' costs."""
+        """Negative log density of a whole track, by NumPy from the kernels' cost functions."""
+        packed = filled(PackedTracks.of([track], camera, types_of([self])), [self])
+        rows = np.column_stack([states.position, states.velocity, states.body, states.head])
+        return sum(kernel.total(packed, rows) for kernel in self.kernels)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """The factors of a step: on its variables and those of ``step.previous``.

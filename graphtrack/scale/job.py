@@ -16,7 +16,6 @@ from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
-from graphtrack.inference.chain.batch import is_large
 from graphtrack.inference.engines import OfflineEngine, engine_of
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
@@ -132,12 +131,10 @@ def smooth_dataset(
         engine_of(model, engine),
         1 if cluster else jobs,
         SolverOptions() if options is None else options,
-        dataset.n_rows,
     )
     if cluster in (None, "local"):
         # Once for all processes of this machine.
-        in_lanes = (is_large(work.model, work.n_frames),)
-        make_smoothing_ready(work.model, work.engine, read_options.camera, in_lanes, constants)
+        make_smoothing_ready(work.model, work.engine, read_options.camera, constants)
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

@@ -48,7 +48,6 @@ class Work:
     read_options : frame rate and camera
     select : patterns of the tracks to smooth; empty: all
     model, engine, jobs, options : as in `graphtrack.solve`
-    n_frames : person-frames of all batches
     constants : as in `graphtrack.solve`
     version : of this package, where the job was started
     """
@@ -61,7 +60,6 @@ class Work:
     engine: OfflineEngine
     jobs: int | None
     options: SolverOptions
-    n_frames: int
     constants: Known = None
     version: str = version("graphtrack")
 
@@ -118,7 +116,6 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         work.engine,
         jobs=work.jobs,
         options=work.options,
-        n_frames=work.n_frames,
         constants=work.constants,
     )
     good = [result for result in found if isinstance(result, Solution)]

@@ -213,13 +213,3 @@ def test_whoever_was_seen_to_turn_one_way_has_no_rival(preset: str) -> None:
 def test_ordinary_walks_have_no_rival(preset: str) -> None:
     model = Model(preset)
     assert not solve_packed(pack([walk(60, seed=seed) for seed in range(10)], model), model).apart.any()
-
-
-@PRESETS
-def test_rivals_are_the_same_in_lanes(preset: str) -> None:
-    model = Model(preset)
-    packed = pack([out_and_back(seed) for seed in range(12)], model)
-    lanes, alone = (solve_packed(packed, model, in_lanes=way) for way in (True, False))
-    assert np.abs(lanes.apart).max() > 0.5
-    np.testing.assert_allclose(lanes.apart, alone.apart, atol=1e-5)
-    np.testing.assert_allclose(lanes.covariance, alone.covariance, atol=1e-5)

@@ -6,23 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kernels import empty_sums
 from random_tracks import contradicted
 from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.initialisation import fill, pack, problem_of
-from graphtrack.inference.chain.newton import (
-    COST,
-    FIRST_COST,
-    Workspace,
-    minimise,
-    workspace,
-)
+from graphtrack.inference.chain.newton import Descent, Workspace, minimise, workspace
 from graphtrack.inference.offline import smooth_track
 from graphtrack.inference.online import OnlineSolver
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.layout import BODY, HEAD, Chain, Problem, Sums
+from graphtrack.kernels.layout import BODY, HEAD, OWN, Chain, Problem
 from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.observation import observations
 from graphtrack.model.program import add_frame
@@ -31,15 +26,13 @@ from graphtrack.tracking import track_online
 
 def chain_of(problem: Problem, n: int) -> Chain:
     """The only track of a problem, of n frames."""
-    return Chain(problem, 0, n, float(n))
+    return Chain(problem, 0, n, 0)
 
 
-def own_cost(problem: object, state: FloatArray) -> float:
+def own_cost(problem: Problem, state: FloatArray) -> float:
     """Cost of the first frame by itself."""
-    vectors, matrices = np.zeros((2, 6)), np.zeros((3, 6, 6))
-    ways = True, False, True  # exact, links, own
-    memory = np.zeros((1, 4)), *map(Sums, vectors, matrices[:2]), matrices[2]
-    return float(add_frame(problem, 0, 0, state, state[None], *ways, *memory))
+    turns, sums = np.zeros((1, 4)), empty_sums()[0]
+    return float(add_frame(chain_of(problem, 1), 0, state[None], state, True, OWN, turns, sums))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -60,9 +53,9 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
 
 
 @compiled
-def descend(chain: Chain, states: FloatArray, steps: int, memory: Workspace) -> None:
+def descend(chain: Chain, states: FloatArray, steps: int, memory: Workspace) -> Descent:
     """`minimise`, which compiled code alone can call."""
-    minimise(chain, states, steps, 1e-12, memory)
+    return minimise(chain, states, steps, 1e-12, memory)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -78,9 +71,9 @@ def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
         memory, costs = workspace(n), list[float]()
         for steps in range(8):
             states = start.copy()
-            descend(chain_of(problem, n), states, steps, memory)
-            costs.append(float(memory.ended[COST]))
-            assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
+            ended = descend(chain_of(problem, n), states, steps, memory)
+            costs.append(ended.cost)
+            assert ended.first_cost == pytest.approx(costs[0])
         assert (np.diff(costs) <= 0.0).all() and costs[-1] < costs[0]
 
 

@@ -86,7 +86,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
 
     whole, n = hessian(cost, 2 * len(columns)), len(columns)
     expected = whole[n:, n:] - whole[n:, :n] @ np.linalg.solve(whole[:n, :n], whole[:n, n:])
-    left = memory.scratch[2][np.ix_(columns, columns)]
+    left = memory.hessian[1][np.ix_(columns, columns)]
     np.testing.assert_allclose(np.tril(left), np.tril(expected), rtol=1e-3, atol=1e-4 * expected.max())
 
 

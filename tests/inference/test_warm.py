@@ -65,15 +65,13 @@ def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
 
 
 def test_models_and_ways_make_ready_what_they_call(rehearsed) -> None:
-    linear, full, lanes = Model("position"), Model("joint"), (False, True)
-    for given, options, names in (
-        ((linear, "chain"), {"in_lanes": lanes}, ("offline linear",)),
-        ((full, "chain"), {"in_lanes": (False,)}, ("offline angles", "start")),
-        ((full, "chain"), {"in_lanes": (True,)}, ("lanes angles",)),
-        ((full, "chain"), {"in_lanes": lanes}, ("offline angles", "start", "lanes angles")),
-        ((full, "gtsam"), {"in_lanes": lanes}, ("graph angles",)),
+    linear, full = Model("position"), Model("joint")
+    for given, names in (
+        ((linear, "chain"), ("offline linear",)),
+        ((full, "chain"), ("offline angles", "start")),
+        ((full, "gtsam"), ("graph angles",)),
     ):
-        make_solver_ready(*given, **options)
+        make_solver_ready(*given)
         assert sorted(rehearsed[-1]) == sorted(("the offline solver", *names))
     for camera, model, options in (
         (None, linear, {"complete": True}),

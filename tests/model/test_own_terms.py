@@ -1,4 +1,4 @@
-"""A term of a user's own with a kernel that reads an input: on every engine, offline and online."""
+"""A class of terms with a kernel from one function that reads an input: on every engine."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.inference.chain.initialisation import initial_states, pack
 from graphtrack.inference.chain.window import FrameRows
-from graphtrack.kernels import HEAD, Field, Kernel, compiled
-from graphtrack.kernels.layout import N
+from graphtrack.kernels.layout import Field, N
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
 from graphtrack.model.generator import OF_PRESETS, Contribution, FrameProgram, program_of
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.packing import PackedTracks
@@ -34,23 +34,9 @@ from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track
 
 
-@compiled
-def add_look(
-    head_cos: float,
-    head_sin: float,
-    window_cos: float,
-    window_sin: float,
-    window_kappa: float,
-    exact: bool,
-    gradient: np.ndarray,
-    hessian: np.ndarray,
-) -> float:
-    """κ·(1 − cos(head − bearing of the window))."""
-    close = head_cos * window_cos + head_sin * window_sin
-    across = head_sin * window_cos - head_cos * window_sin
-    gradient[HEAD] += window_kappa * across
-    hessian[HEAD, HEAD] += window_kappa * (close if exact else 1.0)
-    return window_kappa * (1.0 - close)
+def look(now: Any, window_cos: Any, window_sin: Any, window_kappa: Any) -> Any:
+    """Return the residuals of κ·(1 − cos(head − bearing of the window))."""
+    return gt.chord(window_kappa, now.head, (window_cos, window_sin))
 
 
 class LooksAtWindow(Term):
@@ -59,7 +45,7 @@ class LooksAtWindow(Term):
     uses = frozenset({"head"})
     window, reach, kappa = np.array([1.0, 2.0]), 9.0, 2.0
     fields = (Field("window_cos", ""), Field("window_sin", ""), Field("window_kappa", ""))
-    kernels = (Kernel(add_look, gate="window_kappa", variables=("head",)),)
+    kernels = (Kernel(look, gate="window_kappa", variables=("head",)),)
 
     def pull(self, position: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         away = np.where(np.isnan(window), self.window, window) - position
@@ -69,10 +55,6 @@ class LooksAtWindow(Term):
     def pack(self, packed: PackedTracks) -> None:
         bearing, packed.records["window_kappa"] = self.pull(packed.position, packed.input("window", 2))
         packed.records["window_cos"], packed.records["window_sin"] = bearing.T
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        bearing, kappa = self.pull(track.position, track.input("window", 2))
-        return float(np.sum(kappa * (1.0 - np.sum(unit(states.head) * bearing, axis=1))))
 
 
 MODEL = Model("separate", terms=[LooksAtWindow])
@@ -154,7 +136,7 @@ def test_what_it_cannot_do_is_told() -> None:
 
 def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
     class Mistaken(LooksAtWindow):
-        kernels = (Kernel(add_look, gate="window_kappa", variables=("head",), names={"exact": "precise"}),)
+        kernels = (Kernel(look, gate="window_kappa", variables=("head",), names={"window_cos": "precise"}),)
         fields = LooksAtWindow.fields
 
     class Doubled(LooksAtWindow):
@@ -163,12 +145,12 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 
     class Gateless(LooksAtWindow):
         fields = LooksAtWindow.fields
-        kernels = (Kernel(add_look, gate="nowhere", variables=("head",)),)
+        kernels = (Kernel(look, gate="nowhere", variables=("head",)),)
 
     for kind, said in ((Mistaken, "'precise'"), (Doubled, "motion_information"), (Gateless, "'nowhere'")):
         terms = [Contribution.of(one.__name__, one) for one in (*every_term(), kind)]
         with pytest.raises(ValueError, match=said):
-            FrameProgram(terms, "a test").source  # noqa: B018
+            FrameProgram(terms, "a test").source()
 
 
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
@@ -186,24 +168,12 @@ def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
 SCRIPT = """
 import numpy as np
 import graphtrack as gt
-from graphtrack.kernels import VX, VY, Field, Kernel, compiled
 
-@compiled
-def add_headwind(state, wind, gradient, hessian):
-    gradient[VX] += wind * (state[VX] + 1.0)
-    hessian[VX, VX] += wind
-    return 0.5 * wind * (state[VX] + 1.0) ** 2
-
-class Headwind(gt.Term):
-    fields = (Field("wind", ""),)
-    kernels = (Kernel(add_headwind, gate="wind", variables=("velocity",)),)
-    def pack(self, packed):
-        packed.records["wind"] = 30.0
-    def cost(self, states, track, camera=None):
-        return float(np.sum(15.0 * (states.velocity[:, 0] + 1.0) ** 2))
+def headwind(now, strength):
+    return strength * (now.vx + 1)
 
 people = gt.simulate(n_tracks=1, n_steps=20, rng=np.random.default_rng(0))
-model = gt.Model("position", terms=[Headwind])
+model = gt.Model("position", terms=[gt.term(headwind, strength=5.0)])
 (chain,) = gt.solve(people, model, engine="chain")
 (graph,) = gt.solve(people, model, engine="gtsam")
 online = gt.track_online(people, model, engine="chain", lag=1.0).tracks[0]

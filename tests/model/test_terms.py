@@ -14,18 +14,18 @@ import pytest
 from gtsam.symbol_shorthand import B
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kernels import called, evaluate, packed_alone, rows_of
+from kernels import called, empty_sums, evaluate, packed_alone, rows_of
 from scipy import stats
 from scipy.linalg import expm
 from walks import scores
 
-from graphtrack.geometry.angles import class_kappa, unit
+from graphtrack.geometry.angles import class_kappa, highest_log_density, mixture_log_density
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.state import values_of
-from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, Sums
+from graphtrack.kernels.layout import BODY, BOTH, HEAD, STATE_SLICES, Chain
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -52,8 +52,6 @@ from graphtrack.model.terms.orientation import (
     BodyLikelihood,
     HeadDynamics,
     HeadLikelihood,
-    highest_log_density,
-    mixture_log_density,
 )
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.tracks.track import Track
@@ -331,9 +329,6 @@ def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> N
     for states, track in every_situation(case, 6):
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         both = np.concatenate([rows[0], rows[1]])
-        for name in ("motion_body", "head_body"):  # about an offset, as coupling modes have it
-            if f"{name}_cos" in packed.records.dtype.names:
-                packed.records[f"{name}_cos"], packed.records[f"{name}_sin"] = np.cos(0.7), np.sin(0.7)
 
         def at(both: np.ndarray, exact: bool = True, packed: Any = packed) -> Any:
             return evaluate(term, packed, 1, both[:6], both[6:], exact)
@@ -429,24 +424,16 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
-        add_grid_costs(problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"])
-        memory = Sums(np.zeros(6), np.zeros((6, 6)))
+        cos, sin, whole = np.cos(angles), np.sin(angles), Chain(problem, 0, n, 0)
+        add_grid_costs(whole, local, cos, sin, nodes, found["body"], found["head"])
         for k in range(n):
-            quarters = {"body": np.empty(4), "head": np.empty(4)}
-            turns = unit(local[k, BODY:]).ravel()
-            program.set_quarter_turns(problem, 0, k, local[k], turns, False, memory, *quarters.values())
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
-                    assert not found[name].any() and not quarters[name].any()
+                    assert not found[name].any()
                     continue
                 expected = costs_at(term, alone, k, rows[k], place, angles)
                 np.testing.assert_allclose(
                     np.diff(found[name][k]), np.diff(expected), atol=1e-6 * (1.0 + np.ptp(expected))
-                )
-                four = rows[k, place] + PI / 2.0 * np.arange(4)
-                expected = costs_at(term, alone, k, rows[k], place, four)
-                np.testing.assert_allclose(
-                    np.diff(quarters[name]), np.diff(expected), atol=1e-6 * (1.0 + np.ptp(expected))
                 )
 
 
@@ -478,7 +465,7 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = OF_PRESETS.source
+    source = OF_PRESETS.source(of_presets=True)
     assert Path(program.__file__).read_text(encoding="utf-8") == source
 
 
@@ -493,11 +480,10 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         packed.records["body_anchor"] = packed.records["head_anchor"] = 0.0
         local = rows.copy()
         local[:, :2] -= packed.origin[0]
-        gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
-        out = (*map(Sums, gradients, hessians[:2]), hessians[2])
+        (sums, gradients, hessians), turns = empty_sums(), np.zeros((2, 4))
         start = local[0].copy()
         note_turns(0, local, turns)
-        cost = program.add_frame(problem, 0, 1, start, local, True, True, True, turns, *out)
+        cost = program.add_frame(Chain(problem, 0, 2, 0), 1, local, start, True, BOTH, turns, sums)
         expected = [0.0, np.zeros(12), np.zeros((12, 12))]
         for term in model.terms:
             if term.kernels:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.layout import BODY, HEAD, Kernel
+from graphtrack.kernels.layout import BODY, HEAD, Sums
 from graphtrack.model import States, Term
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import filled, types_of
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
+from graphtrack.tracks.track import Track
 
 
 def packed_alone(term: Term, track: Track, camera: GroundCamera | None = None) -> PackedTracks:
@@ -36,20 +36,22 @@ def called(term: Term, packed: PackedTracks, k: int) -> list[Kernel]:
     ]
 
 
+def empty_sums() -> tuple[Sums, np.ndarray, np.ndarray]:
+    """Sums of zero, and their gradients (2, 6) and Hessians (3, 6, 6)."""
+    gradients, hessians = np.zeros((2, 6)), np.zeros((3, 6, 6))
+    return Sums(gradients[0], gradients[1], *hessians), gradients, hessians
+
+
 def evaluate(
     term: Term, packed: PackedTracks, k: int, before: np.ndarray, state: np.ndarray, exact: bool = True
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Cost, gradient (12,) and Hessian (12, 12) by the frame before and the frame k, of all kernels."""
     origin = packed.origin[0]
     local = [np.concatenate([row[:2] - origin, row[2:]]) for row in (before, state)]
-    gradients, hessians = np.zeros((2, 6)), np.zeros((3, 6, 6))
+    sums, gradients, hessians = empty_sums()
     given: dict[str, Any] = {
-        **{"BODY": BODY, "HEAD": HEAD, "exact": exact, "origin_x": origin[0], "origin_y": origin[1]},
-        **{"before": local[0], "state": local[1], "transition": hessians[2]},
-        **{"gradient_before": gradients[0], "gradient": gradients[1]},
-        **{"hessian_before": hessians[0], "hessian": hessians[1]},
-        "body_directions": unit(class_centres(BODY_CLASSES)),
-        "head_directions": unit(class_centres(HEAD_CLASSES)),
+        **{"at_body": BODY, "at_head": HEAD, "exact": exact, "origin_x": origin[0], "origin_y": origin[1]},
+        **{"before": local[0], "state": local[1], "sums": sums},
     }
     for row, suffix in ((local[0], "_before"), (local[1], "")):
         for name, place in (("body", BODY), ("head", HEAD)):
@@ -61,7 +63,8 @@ def evaluate(
     for record in (packed.records[k], packed.shared[0]):
         given |= {name: record[name] for name in record.dtype.names or ()}
     cost = sum(
-        kernel.function(*[given[name] for name in kernel.arguments]) for kernel in called(term, packed, k)
+        kernel.compiled(*[given[name] for name in kernel.arguments(kernel.compiled)])
+        for kernel in called(term, packed, k)
     )
     then, here = (np.tril(half) + np.tril(half, -1).T for half in hessians[:2])
     return cost, gradients.ravel(), np.block([[then, hessians[2]], [hessians[2].T, here]])

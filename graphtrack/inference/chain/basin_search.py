@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.newton import Workspace, as_variable, copy_rows, note_turns
-from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
-from graphtrack.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums
-from graphtrack.model.generator import set_quarter_turns
+from graphtrack.inference.chain.newton import Workspace, copy_rows, note_turns
+from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating
+from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem
+from graphtrack.model.generator import orientation_costs
 from graphtrack.model.terms.orientation import angle_cost
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -40,36 +39,40 @@ AT_START, AT_END = math.cos(math.radians(90.0)), math.cos(math.radians(60.0))
 a descent, and at its end."""
 
 
-@compiled
-def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> Any:
+@allocating
+def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> float:
     """Upper bound of the gain of a stretch of frames by quarter turns of body, head or both."""
-    problem, track, scratch, turns = chain.problem, chain.track, workspace.scratch, workspace.trigonometry
-    body, head, gain, sums = scratch[0, 0], scratch[0, 1], scratch[1], Sums(scratch[0, 2], scratch[2])
-    greatest, curved = 0.0 * chain.length, as_variable(False)
-    for way in range(3):
-        for q in range(1, 4):
-            gain[way, q] = greatest
+    turns, greatest = workspace.trigonometry, 0.0
+    gain, costs = np.zeros((3, 4)), np.empty((2, 4))
     for k in range(chain.n):
         note_turns(k, states, turns)
         body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
-        set_quarter_turns(problem, track, k, states[k], turns[k], curved, sums, body, head)
         # The cosine of head minus body after a quarter turn of the head, or of the body.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
-        kappa = problem.records[problem.offsets[track] + k].head_body_kappa
+        kappa = chain.problem.records[chain.problem.offsets[chain.track] + k].head_body_kappa
         turned, turning = close, across
+        for q in range(4):
+            costs[0, q], costs[1, q] = orientation_costs(chain, k, states[k], turns[k])
+            quarter_turn(turns[k])
         for q in range(1, 4):
             turned, turning = -turning, turned
             unturned = turned if q == 2 else -turned
-            by_body, by_head = body[0] - body[q], head[0] - head[q]
+            by_body, by_head = costs[0, 0] - costs[0, q], costs[1, 0] - costs[1, q]
             gain[0, q] += by_body + kappa * (unturned - close)
             gain[1, q] += by_head + kappa * (turned - close)
             gain[2, q] += by_body + by_head
             for way in range(3):
-                total = choose(gain[way, q] > 0.0, gain[way, q], 0.0)
-                gain[way, q] = total
-                greatest = choose(total > greatest, total, greatest)
+                gain[way, q] = max(gain[way, q], 0.0)
+                greatest = max(greatest, gain[way, q])
     return greatest
+
+
+@inner
+def quarter_turn(turns: FloatArray) -> None:
+    """Turn body and head, (4,) cosines and sines, by 90°."""
+    turns[0], turns[1] = -turns[1], turns[0]
+    turns[2], turns[3] = -turns[3], turns[2]
 
 
 @inner
@@ -156,8 +159,7 @@ def least_of(cost: Single) -> tuple[int, int]:
 
 @allocating
 def add_grid_costs(
-    problem: Problem,
-    track: int,
+    chain: Chain,
     states: FloatArray,
     cos: FloatArray,
     sin: FloatArray,
@@ -166,24 +168,21 @@ def add_grid_costs(
     head: FloatArray,
 ) -> None:
     """Add costs of frames at each direction of a grid to the rows (groups, bins) of their ``node``."""
-    sums, turns = Sums(np.zeros(N), np.zeros((N, N))), np.empty(4)
-    of_body, of_head, quarter, curved = np.empty(4), np.empty(4), len(cos) // 4, as_variable(False)
+    turns = np.empty(4)
     for k in range(len(states)):
-        for i in range(quarter):
+        for i in range(len(cos)):
             turns[0] = turns[2] = cos[i]
             turns[1] = turns[3] = sin[i]
-            set_quarter_turns(problem, track, k, states[k], turns, curved, sums, of_body, of_head)
-            for q in range(4):
-                body[node[k], i + q * quarter] += of_body[q]
-                head[node[k], i + q * quarter] += of_head[q]
+            of_body, of_head = orientation_costs(chain, k, states[k], turns)
+            body[node[k], i] += of_body
+            head[node[k], i] += of_head
 
 
 @inner_allocating
-def best_course(
-    problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
-) -> None:
+def best_course(chain: Chain, states: FloatArray, bins: int, spread: float, course: FloatArray) -> None:
     """The cheapest course (n, 2) of body and head on a grid, given the motion, by the Viterbi algorithm."""
-    n, a = len(states), problem.offsets[track]
+    problem, track, n = chain.problem, chain.track, chain.n
+    a = problem.offsets[track]
     records = problem.records[a : a + n]
     node = np.empty(n, np.int64)
     count = nodes_of(problem, track, n, spread, node)
@@ -193,7 +192,7 @@ def best_course(
         cos[i], sin[i] = math.cos(angles[i]), math.sin(angles[i])
     body, head, kappa = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros(count)
     body_turn, head_turn = np.zeros(count), np.zeros(count)
-    add_grid_costs(problem, track, states, cos, sin, node, body, head)
+    add_grid_costs(chain, states, cos, sin, node, body, head)
     for k in range(n):
         frame, g = records[k], node[k]
         kappa[g] += frame.head_body_kappa
@@ -252,68 +251,25 @@ def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
     return False
 
 
-@merged
-def leads_elsewhere(
-    problem: Problem, track: int, states: FloatArray, near: float, course: FloatArray
-) -> bool:
-    """Return True if the best course (n, 2) on the grid leads to another basin than the states'."""
-    for bins, spread in (COARSE, FINE):
-        best_course(problem, track, states, bins, spread, course)
-        if not lies_elsewhere(states, course, near):
-            return False
-    return True
-
-
-@inner_allocating
-def find_other_basins(
-    all_tracks: Problem,
-    tracks: NDArray[np.int64],
-    chain: Chain,
-    states: FloatArray,
-    near: float,
-    workspace: Workspace,
-) -> Any:
-    """Put into ``workspace.again`` the states with the orientations of the best course on the grid.
-
-    Returns a condition that holds where that is another basin; else the states are as they were.
-
-    Parameters
-    ----------
-    all_tracks, tracks : the problem of all tracks, and the number in it of the track, or of that in each lane
-    states : (n, 6)
-    near : cosine of the turn within which a course leads to the same basin
-    """
-    gains, again = greatest_gain(chain, states, workspace), workspace.again
-    found = gains < 0.0
-    if not any_of(gains > WORTHWHILE):
-        return found
-    copy_rows(0, chain.n, states, again)
-    for lane in range(lane_count(gains)):
-        if not lane_of(gains, lane) > WORTHWHILE:
-            continue
-        length = int(lane_of(chain.length, lane))
-        here, course = np.empty((length, N)), np.empty((length, 2))
-        for k in range(length):
-            for i in range(N):
-                here[k, i] = lane_of(states[k, i], lane)
-        if leads_elsewhere(all_tracks, tracks[lane], here, near, course):
-            this = only_lane(found, lane)
-            found |= this
-            angles = masked(again, this)
-            for k in range(length):  # assigning to a slice takes a second to compile
-                here[k, BODY], here[k, HEAD] = course[k, 0], course[k, 1]
-            # The grid is coarser than accurate observations.
-            admit_rejected(all_tracks, tracks[lane], here)
-            for k in range(length):
-                angles[k, BODY], angles[k, HEAD] = here[k, BODY], here[k, HEAD]
-    return found
-
-
 @allocating
 def find_other_basin(chain: Chain, states: FloatArray, near: float, workspace: Workspace) -> bool:
-    """`find_other_basins` of a single track."""
-    tracks = np.full(1, chain.track)
-    return find_other_basins(chain.problem, tracks, chain, states, near, workspace)
+    """Put into ``workspace.again`` the states (n, 6) with the orientations of the best course on the grid.
+
+    Returns False where that is the basin of the states: within the turn whose cosine is ``near``.
+    """
+    if not greatest_gain(chain, states, workspace) > WORTHWHILE:
+        return False
+    n, again, course = chain.n, workspace.again, np.empty((chain.n, 2))
+    for bins, spread in (COARSE, FINE):
+        best_course(chain, states, bins, spread, course)
+        if not lies_elsewhere(states, course, near):
+            return False
+    copy_rows(0, n, states, again)
+    for k in range(n):  # assigning to a slice takes a second to compile
+        again[k, BODY], again[k, HEAD] = course[k, 0], course[k, 1]
+    # The grid is coarser than accurate observations.
+    admit_rejected(chain.problem, chain.track, again[:n])
+    return True
 
 
 _REJECTED = 8.0
@@ -387,69 +343,64 @@ _GOES_ON = 0.1  # Of the mean turn in a slow stretch, above which the frames aro
 
 
 @inner
-def turn_to(chain: Chain, k: int, states: FloatArray, place: int, lane: int) -> tuple[float, float]:
-    """The turn of an orientation from frame k − 1 to frame k of a lane, and the variance of diffusion."""
+def turn_to(chain: Chain, k: int, states: FloatArray, place: int) -> tuple[float, float]:
+    """The turn of an orientation from frame k − 1 to frame k, and the variance of diffusion."""
     frame = chain.problem.records[chain.problem.offsets[chain.track] + k]
-    kappa = lane_of(frame.body_turn_kappa if place == BODY else frame.head_turn_kappa, lane)
-    turn = lane_of(states[k, place], lane) - lane_of(states[k - 1, place], lane)
+    kappa = frame.body_turn_kappa if place == BODY else frame.head_turn_kappa
+    turn = states[k, place] - states[k - 1, place]
     return turn - _TURN * math.floor(turn / _TURN + 0.5), 1.0 / kappa if kappa > 0.0 else _TURN
 
 
 @compiled
-def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace) -> Any:
+def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace) -> bool:
     """Put into ``workspace.again`` states with slow turns of over 180° reversed; True if there are any.
 
     ``dearer``: if positive, each turn is followed to its ends, at any speed, and smaller turns are reversed
     too, where that increases the cost of diffusion by at most ``dearer``.
     """
-    length, again = chain.length, workspace.again
+    frames, again = chain.n, workspace.again
     records, offset = chain.problem.records, chain.problem.offsets[chain.track]
-    found, copied = length < 0.0, False
-    for lane in range(lane_count(length)):
-        for place in (BODY, HEAD):
-            frames, begin, slow, since, turned = int(lane_of(length, lane)), -1, 0, 0.0, 0.0
-            at_slow = 0.0
-            for k in range(frames):
-                vx, vy, step = lane_of(states[k, VX], lane), lane_of(states[k, VY], lane), 0.0
-                if k > 0:
-                    since += lane_of(records[offset + k].dt, lane)
-                    step = turn_to(chain, k, states, place, lane)[0]
-                    turned += step
-                if vx * vx + vy * vy < SLOW * SLOW:
-                    if begin < 0:
-                        begin, turned = max(k - 1, 0), step
-                    slow, since, at_slow = k, 0.0, turned
-                if begin < 0 or (since <= BRIEF + TIME_TOLERANCE and k < frames - 1):
-                    continue
-                # The stretch is over: it lasted up to the frame after the last slow one.
-                variance = 0.0
-                if dearer > 0.0 and slow > begin:
-                    least = _GOES_ON * at_slow / (slow - begin)
-                    for m in range(begin + 1, slow + 1):
-                        variance += turn_to(chain, m, states, place, lane)[1]
-                    while begin > 0:
-                        step, diffuses = turn_to(chain, begin, states, place, lane)
-                        if not step * least > least * least:
-                            break
-                        begin, at_slow, variance = begin - 1, at_slow + step, variance + diffuses
-                    while slow < frames - 1:
-                        step, diffuses = turn_to(chain, slow + 1, states, place, lane)
-                        if not step * least > least * least:
-                            break
-                        slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
-                # A turn costs half of its square over the variance.
-                if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
-                    if not copied:
-                        copy_rows(0, chain.n, states, again)
-                        copied = True
-                    this = only_lane(found, lane)
-                    found |= this
-                    first = lane_of(states[begin, place], lane)
-                    other = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
-                    if other == at_slow:
-                        other -= math.copysign(_TURN, at_slow)
-                    angles = masked(again, this)
-                    for m in range(begin + 1, slow):
-                        angles[m, place] = first + other * ((m - begin) / (slow - begin))
-                begin = -1
+    found = False
+    for place in (BODY, HEAD):
+        begin, slow, since, turned, at_slow = -1, 0, 0.0, 0.0, 0.0
+        for k in range(frames):
+            vx, vy, step = states[k, VX], states[k, VY], 0.0
+            if k > 0:
+                since += records[offset + k].dt
+                step = turn_to(chain, k, states, place)[0]
+                turned += step
+            if vx * vx + vy * vy < SLOW * SLOW:
+                if begin < 0:
+                    begin, turned = max(k - 1, 0), step
+                slow, since, at_slow = k, 0.0, turned
+            if begin < 0 or (since <= BRIEF + TIME_TOLERANCE and k < frames - 1):
+                continue
+            # The stretch is over: it lasted up to the frame after the last slow one.
+            variance = 0.0
+            if dearer > 0.0 and slow > begin:
+                least = _GOES_ON * at_slow / (slow - begin)
+                for m in range(begin + 1, slow + 1):
+                    variance += turn_to(chain, m, states, place)[1]
+                while begin > 0:
+                    step, diffuses = turn_to(chain, begin, states, place)
+                    if not step * least > least * least:
+                        break
+                    begin, at_slow, variance = begin - 1, at_slow + step, variance + diffuses
+                while slow < frames - 1:
+                    step, diffuses = turn_to(chain, slow + 1, states, place)
+                    if not step * least > least * least:
+                        break
+                    slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
+            # A turn costs half of its square over the variance.
+            if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
+                if not found:
+                    copy_rows(0, frames, states, again)
+                    found = True
+                first = states[begin, place]
+                other = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                if other == at_slow:
+                    other -= math.copysign(_TURN, at_slow)
+                for m in range(begin + 1, slow):
+                    again[m, place] = first + other * ((m - begin) / (slow - begin))
+            begin = -1
     return found

@@ -31,7 +31,7 @@ from graphtrack.kernels.layout import (
 from graphtrack.model import Model, States
 from graphtrack.model.generator import program_of
 from graphtrack.model.observation import require_position
-from graphtrack.model.packing import CLASS_DIRECTIONS, PackedTracks, number_rows, place_in_row
+from graphtrack.model.packing import PackedTracks, number_rows, place_in_row
 from graphtrack.model.term import filled, types_of
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track
@@ -325,7 +325,6 @@ def problem_of(packed: PackedTracks) -> Problem:
         packed.shared,
         packed.body_heights,
         packed.head_heights,
-        *CLASS_DIRECTIONS,
         packed.origin,
         packed.offsets,
         NO_PRIOR,

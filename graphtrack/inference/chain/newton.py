@@ -1,4 +1,4 @@
-"""Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
+"""Newton's method on tracks whose Hessian is block-tridiagonal.
 
 A forward sweep adds the terms up frame by frame and eliminates each frame by block Cholesky, as a Kalman
 filter in information form; a backward sweep gives the Newton step, or the covariances as the
@@ -8,20 +8,19 @@ Rauch–Tung–Striebel smoother does.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.lanes import any_of, choose, masked, negate, sized
-from graphtrack.kernels.layout import BODY, HEAD, Chain, N, Sums
+from graphtrack.kernels.layout import BODY, BOTH, HEAD, Chain, N, Sums
 from graphtrack.model.generator import add_frame
 
 
 class Workspace(NamedTuple):
-    """Memory of a factorisation and a descent, for tracks of up to n frames: for one track, or for lanes."""
+    """Memory of a factorisation and a descent, for tracks of up to n frames."""
 
     inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
     link: FloatArray  # (n, 6, 6) coupling of each frame to the next, in the whitened state
@@ -29,26 +28,19 @@ class Workspace(NamedTuple):
     step: FloatArray  # (n, 6)
     candidate: FloatArray  # (n, 6)
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
-    scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
-    start: FloatArray  # (2, 6) initial state of the first frame, of the descent and of another one
-    ended: FloatArray  # (6,) first cost, cost, steps, status, exact factorisation, cost of a rival
+    gradient: FloatArray  # (2, 6) of even and odd frames
+    hessian: FloatArray  # (2, 6, 6)
+    transition: FloatArray  # (6, 6) see `Sums`
+    start: FloatArray  # (1, 6) initial state of the first frame
     message: FloatArray  # (n, 7, 6) Hessian and gradient, earlier frames eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
-    kept: NDArray[np.int64]  # (2,) number of first frames whose factorisation is kept; 1 if any may be
     again: FloatArray  # (n, 6) states in another basin
-    before: FloatArray  # (n, 6) states to restore
     rival: FloatArray  # (n, 6) the states of the best basin that lost a comparison
-
-
-sized(Workspace, N, trigonometry=4)
-
-
-FIRST_COST, COST, STEPS, STATUS, EXACT, RIVAL_COST = range(6)  # Indices of `Workspace.ended`
 
 
 @allocating
 def workspace(n: int) -> Workspace:
-    """Memory for tracks of up to n frames."""
+    """Memory for tracks of up to n frames, in which no factorisation is kept."""
     return Workspace(
         np.empty((n, N, N)),
         np.empty((n, N, N)),
@@ -56,23 +48,30 @@ def workspace(n: int) -> Workspace:
         np.empty((n, N)),
         np.empty((n, N)),
         np.empty((n, 4)),
-        np.empty((4, N, N)),
         np.empty((2, N)),
-        np.empty(6),
+        np.empty((2, N, N)),
+        np.empty((N, N)),
+        np.empty((1, N)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),
-        np.zeros(2, np.int64),
-        np.empty((n, N)),
         np.empty((n, N)),
         np.empty((n, N)),
     )
+
+
+@merged
+def sums_of(k: int, workspace: Workspace) -> Sums:
+    """The sums of frame k and the previous one."""
+    before, here = 1 - (k & 1), k & 1
+    gradient, hessian = workspace.gradient, workspace.hessian
+    return Sums(gradient[before], gradient[here], hessian[before], hessian[here], workspace.transition)
 
 
 _SMALLEST_PIVOT = 1e-13  # relative to the diagonal
 
 
 @compiled
-def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
+def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
     """Write the lower inverse Cholesky factor of a symmetric matrix; True if it is positive definite."""
     # Unrolled, so that it stays in registers: loops of variable length take twice as long.
     pivot = matrix[0, 0]
@@ -129,22 +128,15 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
     inverse[4, 3] = m43 = -m44 * (l43 * m33)
     inverse[5, 3] = -m55 * (l53 * m33 + l54 * m43)
     inverse[5, 4] = -m55 * (l54 * m44)
-    return sound0 & sound1 & sound2 & sound3 & sound4 & sound5
+    return sound0 and sound1 and sound2 and sound3 and sound4 and sound5
 
 
 @compiled
-def eliminate(
-    sums: Sums,
-    transition: FloatArray,
-    sums_next: Sums,
-    inverse: FloatArray,
-    link: FloatArray,
-    solution: FloatArray,
-) -> Any:
-    """Eliminate a frame: add its Schur complement to the next frame; keep the data of the backward sweep."""
+def eliminate(sums: Sums, inverse: FloatArray, link: FloatArray, solution: FloatArray) -> bool:
+    """Eliminate the previous frame: add its Schur complement; keep the data of the backward sweep."""
     # Three arrays and not the whole workspace, with which a descent takes a sixth longer.
-    right, right_next, hessian_next = sums.gradient, sums_next.gradient, sums_next.hessian
-    definite = invert_cholesky(sums.hessian, inverse)
+    right, right_next, hessian_next = sums.gradient_before, sums.gradient, sums.hessian
+    transition, definite = sums.transition, invert_cholesky(sums.hessian_before, inverse)
     # Six parallel sums are vectorised; an inner loop is not, and takes three times as long.
     for i in range(N):
         a = b = c = d = e = f = total = 0.0
@@ -194,12 +186,12 @@ def whiten(inverse: FloatArray, right: FloatArray, solution: FloatArray) -> None
 
 
 @compiled
-def clear(sums: Sums, transition: FloatArray) -> None:
+def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
     """Set to 0; assigning to slices would take longer than the terms themselves."""
     for i in range(N):
-        sums.gradient[i] = 0.0
+        gradient[i] = 0.0
         for j in range(N):
-            sums.hessian[i, j] = 0.0
+            hessian[i, j] = 0.0
             transition[i, j] = 0.0
 
 
@@ -220,19 +212,19 @@ def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> 
 
 
 @inner
-def first_open(workspace: Workspace) -> int:
+def first_open(chain: Chain) -> int:
     """The first frame that may move: the last kept frame, or the first of all."""
-    return max(workspace.kept[0] - 1, 0)
+    return max(chain.kept - 1, 0)
 
 
 @inner
-def sweep_back(n: int, workspace: Workspace) -> Any:
+def sweep_back(chain: Chain, workspace: Workspace) -> float:
     """The Newton step (n, 6) of the frames not kept; returns the predicted decrease."""
     solution, decrement = workspace.solution, 0.0
-    for k in range(n - 1, first_open(workspace) - 1, -1):
+    for k in range(chain.n - 1, first_open(chain) - 1, -1):
         for i in range(N):
             decrement += 0.5 * solution[k, i] * solution[k, i]
-        take_step(k, k < n - 1, workspace)
+        take_step(k, k < chain.n - 1, workspace)
     return decrement
 
 
@@ -257,7 +249,7 @@ def take_step(k: int, linked: bool, workspace: Workspace) -> None:
 def marginals(n: int, workspace: Workspace, covariance: FloatArray) -> None:
     """Covariances (n, 6, 6) of every frame's state from a factorisation."""
     inverse, link = workspace.inverse, workspace.link
-    full, product = workspace.scratch[0], workspace.scratch[1]
+    full, product = workspace.hessian[0], workspace.hessian[1]
     for k in range(n - 1, -1, -1):
         after = covariance[min(k + 1, n - 1)]
         marginal(inverse[k], link[k], k < n - 1, after, full, product, covariance[k])
@@ -334,6 +326,16 @@ class Result(NamedTuple):
 CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2  # Status of a descent
 
 
+class Descent(NamedTuple):
+    """Outcome of `minimise`."""
+
+    first_cost: float
+    cost: float
+    steps: int
+    status: int  # see CONVERGED
+    exact: bool  # True if the factorisation is that of the exact curvature at the end
+
+
 @inner
 def as_variable(flag: bool) -> bool:
     """The flag, as a variable: functions are compiled again for each constant."""
@@ -349,7 +351,7 @@ def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
 
 
 @inner
-def add_prior(prior: FloatArray, state: FloatArray, sums: Sums) -> Any:
+def add_prior(prior: FloatArray, state: FloatArray, sums: Sums) -> float:
     """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
     cost = 0.0
     for i in range(N):
@@ -363,16 +365,17 @@ def add_prior(prior: FloatArray, state: FloatArray, sums: Sums) -> Any:
 
 
 @inner
-def add_message(k: int, states: FloatArray, sums: Sums, workspace: Workspace) -> Any:
+def add_message(k: int, states: FloatArray, workspace: Workspace) -> float:
     """Add the cost of a frame and all earlier ones, relative to their factorisation, with derivatives."""
     message, cost = workspace.message[k], 0.0
+    gradient, hessian = workspace.gradient[k & 1], workspace.hessian[k & 1]
     for i in range(N):
         slope = message[N, i]
-        sums.gradient[i] = slope
+        gradient[i] = slope
         for j in range(N):
-            sums.hessian[i, j] = message[i, j]
+            hessian[i, j] = message[i, j]
             bend = message[max(i, j), min(i, j)] * (states[k, j] - workspace.factored[k, j])
-            sums.gradient[i] += bend
+            gradient[i] += bend
             slope += 0.5 * bend
         cost += slope * (states[k, i] - workspace.factored[k, i])
     note_turns(k, states, workspace.trigonometry)
@@ -380,51 +383,39 @@ def add_message(k: int, states: FloatArray, sums: Sums, workspace: Workspace) ->
 
 
 @inner
-def sweep_forward(chain: Chain, states: FloatArray, exact: bool, workspace: Workspace) -> tuple[Any, Any]:
+def sweep_forward(chain: Chain, states: FloatArray, exact: bool, workspace: Workspace) -> tuple[float, bool]:
     """Factor the Hessian at the states; returns their cost and True if it is positive definite."""
-    problem, track, n, length = chain.problem, chain.track, chain.n, chain.length
+    problem, n, first, keeps = chain.problem, chain.n, chain.kept, len(workspace.message) > 0
     inverse, link, solution = workspace.inverse, workspace.link, workspace.solution
-    scratch, turns, start = workspace.scratch, workspace.trigonometry, workspace.start[0]
-    transition, first, every, keeps = scratch[3], workspace.kept[0], True, workspace.kept[1] > 0
-    cost, definite = 0.0 * length, length >= 0.0
+    turns, start, part = workspace.trigonometry, workspace.start[0], BOTH + 0
+    gradient, hessian, transition = workspace.gradient, workspace.hessian, workspace.transition
+    cost, definite = 0.0, True
     for k in range(2):
-        clear(Sums(scratch[0, k], scratch[1 + k]), transition)
+        clear(gradient[k], hessian[k], transition)
     if first > 0:
-        here = (first - 1) & 1
-        cost += add_message(first - 1, states, Sums(scratch[0, here], scratch[1 + here]), workspace)
+        cost += add_message(first - 1, states, workspace)
     for k in range(first, n):
-        here, before = k & 1, 1 - (k & 1)
-        sums = Sums(scratch[0, here], scratch[1 + here])
-        sums_before = Sums(scratch[0, before], scratch[1 + before])
-        cost += add_frame(
-            problem, track, k, start, states, exact, every, every, turns, sums_before, sums, transition
-        )
+        sums = sums_of(k, workspace)
+        cost += add_frame(chain, k, states, start, exact, part, turns, sums)
         if k == 0 and len(problem.prior) > 0:
             cost += add_prior(problem.prior, states[0], sums)
-        over = length <= float(k)
-        if any_of(over):
-            # Other lanes have longer tracks: frames without terms are eliminated as the identity.
-            block = masked(sums.hessian, over)
-            for i in range(N):
-                block[i, i] = 1.0
-        if k > 0 and any_of(definite):
-            definite &= eliminate(sums_before, transition, sums, inverse[k - 1], link[k - 1], solution[k - 1])
-        clear(sums_before, transition)
-        if keeps and any_of(definite):
+        if k > 0 and definite:
+            definite = eliminate(sums, inverse[k - 1], link[k - 1], solution[k - 1])
+        clear(sums.gradient_before, sums.hessian_before, transition)
+        if keeps and definite:
             for i in range(N):
                 for j in range(N):
                     workspace.message[k, i, j] = sums.hessian[i, j]
                 workspace.message[k, N, i] = sums.gradient[i]
                 workspace.factored[k, i] = states[k, i]
     last = (n - 1) & 1
-    if any_of(definite):
-        definite &= invert_cholesky(scratch[1 + last], inverse[n - 1])
-        whiten(inverse[n - 1], scratch[0, last], solution[n - 1])
+    if definite:
+        definite = invert_cholesky(hessian[last], inverse[n - 1])
+        whiten(inverse[n - 1], gradient[last], solution[n - 1])
     return cost, definite
 
 
 _SMALLEST_SCALE = 1e-9
-_HUGE = 1e300
 
 _NUDGE = 0.1
 """Radians by which orientations leave a stationary point that is no minimum, such as a body that was never
@@ -432,91 +423,69 @@ observed and points exactly backwards: its gradient is zero, and only the curvat
 
 
 @inner
-def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
-    """Apply the fraction ``scale`` of the steps; none for 0."""
+def go(first: int, n: int, states: FloatArray, scale: float, step: FloatArray, to: FloatArray) -> None:
+    """Apply the fraction ``scale`` of the steps."""
     for k in range(first, n):
         for i in range(N):
-            to[k, i] = choose(scale > 0.0, states[k, i] + scale * step[k, i], states[k, i])
+            to[k, i] = states[k, i] + scale * step[k, i]
 
 
 @inner
-def nudge(first: int, n: int, states: FloatArray, nudged: Any, to: FloatArray) -> None:
-    """Copy states from the frame ``first`` on; where ``nudged``, orientations are turned by `_NUDGE`."""
+def nudge(first: int, n: int, states: FloatArray, to: FloatArray) -> None:
+    """Copy states from the frame ``first`` on, with orientations turned by `_NUDGE`."""
     for k in range(first, n):
         for i in range(N):
-            turned = states[k, i] + (_NUDGE if i >= BODY else 0.0)
-            to[k, i] = choose(nudged, turned, states[k, i])
+            to[k, i] = states[k, i] + (_NUDGE if i >= BODY else 0.0)
 
 
 @inner
 def minimise(
     chain: Chain, states: FloatArray, max_iterations: int, tolerance: float, workspace: Workspace
-) -> None:
-    """Newton's method with step halving from ``states`` (n, 6), in place; its status is ``workspace.ended``.
+) -> Descent:
+    """Newton's method with step halving from ``states`` (n, 6), in place.
 
-    Kept frames do not move, except the last. Each lane has its own step length. A saddle is left once.
+    Kept frames do not move, except the last. A saddle is left once.
     """
-    step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
-    n, length = chain.n, chain.length
-    first, full = first_open(workspace), as_variable(True)
-    for i in range(N):
-        workspace.start[0, i] = states[0, i]
+    step, candidate, n = workspace.step, workspace.candidate, chain.n
+    first, full = first_open(chain), as_variable(True)
+    copy_rows(0, 1, states, workspace.start)
     first_cost, definite = sweep_forward(chain, states, full, workspace)
-    cost, exact, one = first_cost, definite, 0.0 * length + 1.0
-    running = abs(cost) < _HUGE
-    status, steps = choose(running, one * NOT_CONVERGED, one * NOT_FINITE), 0.0 * one
-    running &= length > 0.0
-    stuck_somewhere = left_saddle = negate(one > 0.0)
-    for iteration in range(max_iterations + 1):
-        if not any_of(running):
-            break
-        decrement, exact = sweep_back(n, workspace), definite
-        unsound = running & negate(definite)
-        if any_of(unsound):
-            # These take the step of the positive semidefinite curvature.
-            copy_rows(first, n, step, candidate)
+    cost, exact, left_saddle, steps = first_cost, definite, False, 0
+    status = NOT_CONVERGED if math.isfinite(cost) else NOT_FINITE
+    for iteration in range(max_iterations + 1 if math.isfinite(cost) else 0):
+        steps, exact, sound = iteration, definite, definite
+        if not definite:
             _, sound = sweep_forward(chain, states, not full, workspace)
-            decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
-            unchanged = masked(step, negate(unsound))
-            for k in range(first, n):
-                for i in range(N):
-                    unchanged[k, i] = choose(unsound, step[k, i], candidate[k, i])
-            exact = negate(one > 0.0)
-        finite = abs(decrement) < _HUGE
-        status = choose(running & negate(finite), one * NOT_FINITE, status)
-        steps = choose(running, one * iteration, steps)
-        running &= finite
-        done = running & (decrement <= tolerance * (1.0 + abs(cost)))
-        saddle = done & negate(definite | left_saddle)
-        if any_of(saddle) and iteration < max_iterations:
-            nudge(first, n, states, saddle, states)
-            found, definite = sweep_forward(chain, states, full, workspace)
-            cost, left_saddle = choose(saddle, found, cost), left_saddle | saddle
-            continue
-        if any_of(done):
-            go(first, n, states, choose(done, one, 0.0), step, states)
-            status = choose(done, one * CONVERGED, status)
-            running &= negate(done)
-        if not any_of(running) or iteration == max_iterations:
+        decrement = sweep_back(chain, workspace) if sound else math.nan
+        if not math.isfinite(decrement):
+            status = NOT_FINITE
             break
-        scale, found = choose(running, one, 0.0), cost
+        if decrement <= tolerance * (1.0 + abs(cost)):
+            if not (definite or left_saddle) and iteration < max_iterations:
+                nudge(first, n, states, states)
+                cost, definite = sweep_forward(chain, states, full, workspace)
+                left_saddle = True
+                continue
+            go(first, n, states, 1.0, step, states)
+            status = CONVERGED
+            break
+        if iteration == max_iterations:
+            break
+        scale = 1.0
         while True:
             go(first, n, states, scale, step, candidate)
             found, definite = sweep_forward(chain, candidate, full, workspace)
-            worse = running & negate(found <= cost)
-            if not any_of(worse):
+            if found <= cost or scale <= _SMALLEST_SCALE:
                 break
-            scale = choose(worse, 0.5 * scale, scale)
+            scale *= 0.5
+        exact = definite
+        if not found <= cost:
             # The predicted decrease is less than the rounding of the cost.
-            stuck = worse & (scale <= _SMALLEST_SCALE)
-            stuck_somewhere |= stuck
-            running &= negate(stuck)
-            scale = choose(stuck, 0.0, scale)
-        cost, exact = choose(running, found, cost), definite
+            status = CONVERGED if definite else NOT_CONVERGED
+            break
+        cost = found
         copy_rows(first, n, candidate, states)
-    status = choose(stuck_somewhere & exact, one * CONVERGED, status)
-    ended[FIRST_COST], ended[COST], ended[STEPS], ended[STATUS] = first_cost, cost, steps, status
-    ended[EXACT] = choose(exact, one, 0.0)
+    return Descent(first_cost, cost, steps, status, exact)
 
 
 @allocating
@@ -524,13 +493,14 @@ def leave_saddle(chain: Chain, states: FloatArray, workspace: Workspace) -> bool
     """Put into ``workspace.again`` turned orientations of one track; False where the states are a minimum."""
     copy_rows(0, 1, states, workspace.start)
     _, definite = sweep_forward(chain, states, as_variable(True), workspace)
-    nudge(0, chain.n, states, negate(definite), workspace.again)
-    return not definite
+    if definite:
+        return False
+    nudge(0, chain.n, states, workspace.again)
+    return True
 
 
 @merged
-def cost_of(chain: Chain, states: FloatArray, workspace: Workspace) -> Any:
+def cost_of(chain: Chain, states: FloatArray, workspace: Workspace) -> float:
     """The cost of candidate initial states."""
-    for i in range(N):
-        workspace.start[0, i] = states[0, i]
+    copy_rows(0, 1, states, workspace.start)
     return sweep_forward(chain, states, as_variable(True), workspace)[0]

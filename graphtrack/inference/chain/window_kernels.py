@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basins, unwind
+from graphtrack.inference.chain.basin_search import AT_END, admit_rejected, find_other_basin, unwind
 from graphtrack.inference.chain.covariance import hide, limit_angles
 from graphtrack.inference.chain.newton import (
-    COST,
-    EXACT,
     NOT_FINITE,
-    STATUS,
+    Descent,
     Workspace,
     add_prior,
     as_variable,
@@ -32,6 +30,7 @@ from graphtrack.inference.chain.newton import (
     marginal,
     minimise,
     note_turns,
+    sums_of,
     sweep_back,
     sweep_forward,
     take_step,
@@ -39,9 +38,8 @@ from graphtrack.inference.chain.newton import (
     workspace,
 )
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
-from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem, Sums, X, Y
+from graphtrack.kernels.layout import BODY, BOTH, HEAD, LINKS, OWN, VX, VY, Chain, N, Problem, X, Y
 from graphtrack.model.generator import FrameProgram, add_frame, cut
-from graphtrack.model.packing import CLASS_DIRECTIONS
 from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding_in_frame
 from graphtrack.model.terms.position import CAUCHY
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
@@ -54,8 +52,6 @@ class Windows(NamedTuple):
     shared: np.ndarray  # (S, 1)
     body_heights: FloatArray  # (S, n, classes + 1)
     head_heights: FloatArray
-    body_directions: FloatArray  # (classes, 2)
-    head_directions: FloatArray
     origin: FloatArray  # (S, 1, 2)
     offsets: NDArray[np.int64]  # (S, 2) the rows of the window
     prior: FloatArray  # (S, 8, 6)
@@ -75,7 +71,6 @@ class Windows(NamedTuple):
             np.zeros((slots, 1), program.types.shared),
             np.zeros((*frames, BODY_CLASSES + 1)),
             np.zeros((*frames, HEAD_CLASSES + 1)),
-            *CLASS_DIRECTIONS,
             np.zeros((slots, 1, 2)),
             np.zeros((slots, 2), np.int64),
             np.zeros((slots, N + 2, N)),
@@ -95,8 +90,6 @@ def window_problem(windows: Windows, slot: int) -> Problem:
         windows.shared[slot],
         windows.body_heights[slot],
         windows.head_heights[slot],
-        windows.body_directions,
-        windows.head_directions,
         windows.origin[slot],
         windows.offsets[slot],
         windows.prior[slot],
@@ -116,14 +109,13 @@ def memory_in(windows: Windows, slot: int, begin: int, memory: Workspace) -> Wor
         memory.step,
         memory.candidate,
         windows.trigonometry[slot, begin:],
-        memory.scratch,
+        memory.gradient,
+        memory.hessian,
+        memory.transition,
         memory.start,
-        memory.ended,
         windows.message[slot, begin:],
         windows.factored[slot, begin:],
-        memory.kept,
         memory.again,
-        memory.before,
         memory.rival,
     )
 
@@ -157,44 +149,41 @@ def solve_window(
     Settled frames are not factored again, and follow those after them. ``covariance`` (6, 6) becomes that of
     the newest frame.
     """
-    problem, n, last, tracks = chain.problem, chain.n, chain.n - 1, np.zeros(1, np.int64)
-    exactly, ended = as_variable(True), memory.ended
-    memory.kept[0], memory.kept[1] = 0, 1
+    problem, n, last, kept = chain.problem, chain.n, chain.n - 1, 0
     if warm and last > 0:
         predict_newest(chain, states, memory)
-        memory.kept[0] = settled(states[:last], memory.factored, 1.0)
-    before = states[first_open(memory)].copy()
-    minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
-    kept, memory.kept[0] = memory.kept[0], 0
-    if ended[STATUS] != NOT_FINITE and kept > 0:
+        kept = settled(states[:last], memory.factored, 1.0)
+    held = Chain(problem, chain.track, n, kept)
+    before = states[first_open(held)].copy()
+    ended = minimise(held, states, rules.max_iterations, rules.tolerance, memory)
+    if ended.status != NOT_FINITE and kept > 0:
         follow(states, kept - 1, before, memory)
         if settled(states[:kept], memory.factored, 2.0) < kept:
             # They moved farther than predicted.
             kept = 0
-            minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
-    if ended[STATUS] == NOT_FINITE:
+            ended = minimise(chain, states, rules.max_iterations, rules.tolerance, memory)
+    if ended.status == NOT_FINITE:
         return False
     if is_astray(chain, states):
         # The loss is not convex: a track of false positions may need a search for another position.
         copy_rows(0, n, states, memory.again)
-        leap = _LEAP * problem.shared[0].robust_threshold ** 2
-        kept = move_if_less(chain, states, leap, problem.prior, kept, True, rules, memory)
+        ended, kept = move_if_less(chain, states, problem.prior, True, kept, ended, rules, memory), 0
     if search:
         copy_rows(0, n, states, memory.again)
         if admit_rejected(problem, chain.track, memory.again[:n]):
-            kept = move_if_less(chain, states, 0.0, problem.prior, kept, False, rules, memory)
-    if search and find_other_basins(problem, tracks, chain, states, AT_END, memory):
+            ended, kept = move_if_less(chain, states, problem.prior, False, kept, ended, rules, memory), 0
+    if search and find_other_basin(chain, states, AT_END, memory):
         prior = problem.prior.copy()
         turn_prior(problem.prior, states, memory.again)
-        kept = move_if_less(chain, states, 0.0, prior, kept, False, rules, memory)
+        ended, kept = move_if_less(chain, states, prior, False, kept, ended, rules, memory), 0
     if unwind(chain, states, 0.0, memory):
-        kept = move_if_less(chain, states, 0.0, problem.prior, kept, False, rules, memory)
-    if ended[EXACT] == 0.0 and not sweep_forward(chain, states, not exactly, memory)[1]:
+        ended = move_if_less(chain, states, problem.prior, False, kept, ended, rules, memory)
+    if not ended.exact and not sweep_forward(chain, states, as_variable(False), memory)[1]:
         return False
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(states[last, i])
-    full, product, linked = memory.scratch[0], memory.scratch[1], as_variable(False)
+    full, product, linked = memory.hessian[0], memory.hessian[1], as_variable(False)
     marginal(memory.inverse[last], memory.link[last], linked, covariance, full, product, covariance)
     frame, variance = (
         problem.records[problem.offsets[chain.track] + last],
@@ -210,33 +199,35 @@ def solve_window(
 def move_if_less(
     chain: Chain,
     states: FloatArray,
-    gain: float,
     prior: FloatArray,
+    leaps: bool,
     kept: int,
-    squares: bool,
+    ended: Descent,
     rules: WindowRules,
     memory: Workspace,
-) -> int:
-    """Minimise from ``memory.again``, and move there if that costs more than ``gain`` less.
+) -> Descent:
+    """Minimise from ``memory.again``, and move there if that costs less; else restore the ``prior``.
 
-    Else the ``prior`` is restored. The cost so far leaves out ``kept`` frames; returns 0, as none is kept.
-    With ``squares`` the way there begins with squares in place of the robust loss.
+    The cost so far leaves out ``kept`` frames. Where the person ``leaps``, the way there begins with squares
+    in place of the robust loss, and has to cost `_LEAP` less.
     """
-    ended, again, shared = memory.ended, memory.again, chain.problem.shared[0]
-    cost = cost_of(chain, states, memory) if kept > 0 else ended[COST]
-    if squares:
+    again, shared = memory.again, chain.problem.shared[0]
+    cost, gain = ended.cost, 0.0
+    if kept > 0:
+        cost = cost_of(chain, states, memory)
+    if leaps:
+        gain = _LEAP * shared.robust_threshold**2
         robust, shared.robust = shared.robust, 0.0
         minimise(chain, again, rules.max_iterations, rules.tolerance, memory)
         shared.robust = robust
-    minimise(chain, again, rules.max_iterations, rules.tolerance, memory)
-    if ended[STATUS] != NOT_FINITE and ended[COST] < cost - gain:
+    other = minimise(chain, again, rules.max_iterations, rules.tolerance, memory)
+    if other.status != NOT_FINITE and other.cost < cost - gain:
         assign(states, again)
-    else:
-        assign(chain.problem.prior, prior)
-        copy_rows(0, 1, states, memory.start)
-        definite = sweep_forward(chain, states, as_variable(True), memory)[1]
-        ended[COST], ended[EXACT] = cost, 1.0 if definite else 0.0
-    return 0
+        return other
+    assign(chain.problem.prior, prior)
+    copy_rows(0, 1, states, memory.start)
+    definite = sweep_forward(chain, states, as_variable(True), memory)[1]
+    return Descent(ended.first_cost, cost, ended.steps, ended.status, definite)
 
 
 @merged
@@ -309,28 +300,28 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
 def chain_of(problem: Problem) -> Chain:
     """The frames of a window."""
     n = problem.offsets[1] - problem.offsets[0]
-    # The index of the only track, 0, as a variable: functions are compiled again for each constant.
-    return Chain(problem, len(problem.offsets) - 2, n, float(n))
+    # 0, the only track and the number of kept frames, as variables: functions are compiled for each constant.
+    return Chain(problem, len(problem.offsets) - 2, n, 0 * n)
 
 
 @compiled
 def predict_newest(chain: Chain, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start."""
-    last, every, scratch, turns = chain.n - 1, as_variable(True), memory.scratch, memory.trigonometry
-    sums_before, sums = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
-    transition = scratch[3]
-    scratch[:] = 0.0
-    assign(sums_before.hessian, memory.message[last - 1, :N])
+    last, turns, exact, part = chain.n - 1, memory.trigonometry, as_variable(True), BOTH + 0
+    sums = sums_of(last, memory)
+    clear(sums.gradient_before, sums.hessian_before, sums.transition)
+    clear(sums.gradient, sums.hessian, sums.transition)
+    assign(sums.hessian_before, memory.message[last - 1, :N])
     note_turns(last - 1, states, turns)
-    problem, track, start = chain.problem, chain.track, states[0]
-    add_frame(problem, track, last, start, states, every, every, every, turns, sums_before, sums, transition)
+    add_frame(chain, last, states, states[0], exact, part, turns, sums)
     memory.solution[:last] = 0.0
     inverse, link, solution = memory.inverse[last - 1], memory.link[last - 1], memory.solution[last - 1]
-    definite = eliminate(sums_before, transition, sums, inverse, link, solution)
-    if not definite or not invert_cholesky(sums.hessian, memory.inverse[last]):
+    if not eliminate(sums, inverse, link, solution):
+        return
+    if not invert_cholesky(sums.hessian, memory.inverse[last]):
         return
     whiten(memory.inverse[last], sums.gradient, memory.solution[last])
-    sweep_back(last + 1, memory)
+    sweep_back(chain, memory)
     for k in range(last + 1):
         for i in range(N):
             if not math.isfinite(memory.step[k, i]) or (i in (BODY, HEAD) and abs(memory.step[k, i]) > _FAR):
@@ -348,7 +339,7 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
     for exact in (True, False):
         if condense(problem, states, exact, memory):
             break
-    matrix, vector = memory.scratch[2], memory.scratch[0, 1]
+    matrix, vector = memory.hessian[1], memory.gradient[1]
     for i in range(N):
         prior[N, i] = -vector[i]
         prior[N + 1, i] = states[1, i]
@@ -360,28 +351,25 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
 
 
 @compiled
-def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
-    """Schur complement and gradient on the second of two frames, in the scratch; True if definite."""
-    scratch, turns = workspace.scratch, workspace.trigonometry
-    sums, sums_after = Sums(scratch[0, 0], scratch[1]), Sums(scratch[0, 1], scratch[2])
-    transition, every, start = scratch[3], as_variable(True), states[0]
-    # Constants of 0 would compile the functions again, as in `chain_of`.
-    track, first = len(problem.offsets) - 2, len(states) - 2
-    clear(sums, transition)
-    clear(sums_after, transition)
-    add_frame(problem, track, first, start, states, exact, not every, every, turns, sums, sums, transition)
+def condense(problem: Problem, states: FloatArray, exact: bool, memory: Workspace) -> bool:
+    """Schur complement and gradient on the second of two frames, in the memory; True if definite."""
+    chain, turns, start = chain_of(problem), memory.trigonometry, states[0]
+    # Constants would compile the functions again, as in `chain_of`.
+    first, own, links = chain.kept, OWN + 0, LINKS + 0
+    sums, after = sums_of(first, memory), sums_of(first + 1, memory)
+    clear(sums.gradient, sums.hessian, sums.transition)
+    clear(after.gradient, after.hessian, after.transition)
+    add_frame(chain, first, states, start, exact, own, turns, sums)
     # The second frame's own terms stay in the window.
-    after, links, own = first + 1, every, not every
-    add_frame(problem, track, after, start, states, exact, links, own, turns, sums, sums_after, transition)
+    add_frame(chain, first + 1, states, start, exact, links, turns, after)
     add_prior(problem.prior, start, sums)
     for place in (BODY, HEAD):
         # An orientation outside the model, or without a link to the next frame.
-        if sums_after.hessian[place, place] == 0.0:
-            sums_after.hessian[place, place] = 1e-12
-    inverse, link, solution = workspace.inverse[0], workspace.link[0], workspace.solution[0]
-    if not eliminate(sums, transition, sums_after, inverse, link, solution):
+        if after.hessian[place, place] == 0.0:
+            after.hessian[place, place] = 1e-12
+    if not eliminate(after, memory.inverse[0], memory.link[0], memory.solution[0]):
         return False
-    return invert_cholesky(sums_after.hessian, inverse)
+    return invert_cholesky(after.hessian, memory.inverse[0])
 
 
 TASK = np.dtype(

@@ -38,7 +38,7 @@ class ChainView:
             # They are part of the prior, or link to steps outside the window.
             self._frames.rows[0, self._frames.place[name]] = 0.0
         self._problem = self._frames.problem
-        self._chain = Chain(self._problem, 0, n, float(n))
+        self._chain = Chain(self._problem, 0, n, 0)
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
         """States (n, 6) in a better basin of the grid, with the same motion; None without one."""

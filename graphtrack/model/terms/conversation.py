@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import choose
-from graphtrack.kernels.layout import Field, Kernel, names_of
-from graphtrack.model.observation import Observation, States
+from graphtrack.kernels.layout import Field
+from graphtrack.model.derivation import Cost, chord
+from graphtrack.model.kernel import Kernel, Orientation
+from graphtrack.model.observation import Observation
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
-from graphtrack.tracks.track import Track
+from graphtrack.packages import sympy
 
 GROUP = "group"
 """The input: the direction of the o-space, x and y of a vector whose length is the weight of the frame, and
@@ -32,35 +30,19 @@ def with_group_at(observation: Observation, group: Group | None) -> Observation:
     return replace(observation, inputs={**observation.inputs, GROUP: group})
 
 
-@compiled
-def add_faces_group(
-    place: int,
-    cos: float,
-    sin: float,
-    group_weight: float,
-    group_cos: float,
-    group_sin: float,
-    kappa: float,
-    group_outliers: float,
-    exact: bool,
-    gradient: FloatArray,
-    hessian: FloatArray,
-) -> float:
-    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of an angle; only the non-negative part of its curvature."""
-    close = cos * group_cos + sin * group_sin
-    across = sin * group_cos - cos * group_sin
-    inside = (1.0 - group_outliers) * math.exp(-kappa * (1.0 - close))
-    share = inside / (group_outliers + inside)
-    gradient[place] += group_weight * share * kappa * across
-    slope = kappa * across
-    round_part = kappa * close - (1.0 - share) * slope * slope if exact else 1.0 * kappa
-    hessian[place, place] += group_weight * share * round_part
-    return -group_weight * math.log(group_outliers + inside)
+def faces_group(now: Any, weight: Any, cos: Any, sin: Any, kappa: Any, outliers: Any) -> Cost:
+    """Return −w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of an angle."""
+
+    def loss(cost: Any) -> Any:
+        return -weight * sympy.log(outliers + (1 - outliers) * sympy.exp(-cost))
+
+    return Cost(chord(kappa, now.angle, (cos, sin)), loss)
 
 
-def _faces(name: Variable) -> Kernel:
-    names = names_of(name, kappa=f"group_{name}_kappa")
-    return Kernel(add_faces_group, gate="group_weight", variables=(name,), names=names)
+def _faces(name: Orientation) -> Kernel:
+    names = {part: f"group_{part}" for part in ("weight", "cos", "sin", "outliers")}
+    names["kappa"] = f"group_{name}_kappa"
+    return Kernel(faces_group, "group_weight", (name,), angle=name, names=names)
 
 
 class FacesGroup(Term):
@@ -83,17 +65,6 @@ class FacesGroup(Term):
     )
     kernels = (_faces("body"), _faces("head"))
 
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ over frames, for body and head."""
-        social = self.parameters.social
-        weight, bearing = _weight_and_bearing(track.input(GROUP, 3))
-        total = 0.0
-        for angle, kappa in ((states.body, social.body_kappa), (states.head, social.head_kappa)):
-            close = np.sum(unit(angle) * bearing, axis=1)
-            inside = (1.0 - social.outliers) * np.exp(-kappa * (1.0 - close))
-            total -= float(np.sum(np.where(weight > 0.0, weight * np.log(social.outliers + inside), 0.0)))
-        return total
-
     def pack(self, packed: PackedTracks) -> None:
         """Weights and directions of the frames, and the parameters."""
         social, records, shared = self.parameters.social, packed.records, packed.shared
@@ -115,42 +86,18 @@ LEAST_TURN, GREATEST_TURN = 0.01, 0.05
 """Least radians of a drift from a frame to the next, at any frame rate."""
 
 
-@compiled
-def add_persistence(
-    cos_before: float,
-    sin_before: float,
-    cos: float,
-    sin: float,
-    place: int,
-    group_hold: float,
-    group_drift: float,
-    hold: float,
-    exact: bool,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """w·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and its previous value: about λ·|Δ|."""
-    close = cos_before * cos + sin_before * sin
-    across = sin * cos_before - cos * sin_before
-    size = math.sqrt(group_drift * group_drift + 2.0 * choose(close < 1.0, 1.0 - close, 0.0))
-    weight = group_hold * hold / size
-    pull = weight * across
-    slope = across / size
-    curvature = weight * (close - slope * slope) if exact else weight
-    gradient[place] += pull
-    gradient_before[place] -= pull
-    hessian[place, place] += curvature
-    hessian_before[place, place] += curvature
-    transition[place, place] -= curvature
-    return group_hold * hold * (size - group_drift)
+def persistence(before: Any, now: Any, probability: Any, drift: Any, hold: Any) -> Cost:
+    """Return p·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and its previous value: about p·λ·|Δ|."""
+
+    def loss(cost: Any) -> Any:
+        return probability * hold * (sympy.sqrt(drift**2 + 2 * cost) - drift)
+
+    return Cost(chord(1, now.angle, before.angle), loss)
 
 
-def _persistence(name: Variable) -> Kernel:
-    names = names_of(name, hold=f"group_{name}_hold")
-    return Kernel(add_persistence, gate="group_hold", variables=(name,), before=(name,), names=names)
+def _persistence(name: Orientation) -> Kernel:
+    names = {"probability": "group_hold", "drift": "group_drift", "hold": f"group_{name}_hold"}
+    return Kernel(persistence, "group_hold", (name,), (name,), angle=name, names=names)
 
 
 class OrientationPersistence(Term):
@@ -168,15 +115,6 @@ class OrientationPersistence(Term):
     )
     shared = (Field("group_body_hold", "cost of a radian's turn"), Field("group_head_hold", ""))
     kernels = (_persistence("body"), _persistence("head"))
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ over turns, of body and head."""
-        social, total = self.parameters.social, 0.0
-        weight, drift = _probability(track.input(GROUP, 3))[1:], _drift(track.dt)[1:]
-        for angle, hold in ((states.body, social.body_hold), (states.head, social.head_hold)):
-            chord = 2.0 * np.sin(0.5 * np.diff(angle))
-            total += float(np.sum(weight * hold * (np.hypot(drift, chord) - drift)))
-        return total
 
     def pack(self, packed: PackedTracks) -> None:
         """Weights and drifts of the frames, and the parameters."""

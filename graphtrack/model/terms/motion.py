@@ -5,84 +5,49 @@ Intentional motion is that of Baxter et al. (2014), in continuous time, as a fac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.layout import HEAD, VX, VY, Field, Kernel, X, Y
-from graphtrack.model.observation import States, Step
+from graphtrack.kernels.layout import Field
+from graphtrack.model.kernel import Kernel
+from graphtrack.model.observation import Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable
-from graphtrack.packages import gtsam
-from graphtrack.tracks.track import Track
+from graphtrack.packages import gtsam, sympy
 
 
-@compiled
-def add_motion(
-    before: FloatArray,
-    state: FloatArray,
-    dt: float,
-    motion_information: float,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """White-noise acceleration between two frames; ``transition[i, j]`` is ∂²/∂before_i ∂state_j."""
-    half = 0.5 * dt
-    turn = motion_information / dt
-    bend = 12.0 * motion_information / (dt * dt * dt)
-    cost = 0.0
-    for axis in range(2):
-        p, v = X + axis, VX + axis
-        dv = state[v] - before[v]
-        off = state[p] - before[p] - half * (state[v] + before[v])
-        cost += 0.5 * (turn * dv * dv + bend * off * off)
-        gradient[p] += bend * off
-        gradient_before[p] -= bend * off
-        gradient[v] += turn * dv - half * bend * off
-        gradient_before[v] -= turn * dv + half * bend * off
-        hessian[p, p] += bend
-        hessian[v, p] -= half * bend
-        hessian[v, v] += turn + half * half * bend
-        hessian_before[p, p] += bend
-        hessian_before[v, p] += half * bend
-        hessian_before[v, v] += turn + half * half * bend
-        transition[p, p] -= bend
-        transition[p, v] += half * bend
-        transition[v, p] -= half * bend
-        transition[v, v] += half * half * bend - turn
-    return cost
+def white_noise_acceleration(before: Any, now: Any, motion_information: Any) -> list[Any]:
+    """Return the velocity step, and the position step beyond the mean velocity, independent parts of Q⁻¹."""
+    dt, found = now.dt, []
+    for p, v, p_before, v_before in (
+        (now.x, now.vx, before.x, before.vx),
+        (now.y, now.vy, before.y, before.vy),
+    ):
+        found.append(sympy.sqrt(motion_information / dt) * (v - v_before))
+        mean = dt * (v + v_before) / 2
+        found.append(sympy.sqrt(12 * motion_information / dt**3) * (p - p_before - mean))
+    return found
 
 
-@compiled
-def add_first_velocity(
-    state: FloatArray, velocity_information: float, gradient: FloatArray, hessian: FloatArray
-) -> float:
-    """The broad prior on a first velocity."""
-    cost = 0.0
-    for v in range(VX, VX + 2):
-        cost += 0.5 * velocity_information * state[v] * state[v]
-        gradient[v] += velocity_information * state[v]
-        hessian[v, v] += velocity_information
-    return cost
+def first_velocity(now: Any, velocity_information: Any) -> list[Any]:
+    """Return the residuals of a broad prior on a first velocity."""
+    root = sympy.sqrt(velocity_information)
+    return [root * now.vx, root * now.vy]
 
 
-ADD_MOTION = Kernel(
-    add_motion,
+ACCELERATION = Kernel(
+    white_noise_acceleration,
     gate="motion_information",
     variables=("position", "velocity"),
     before=("position", "velocity"),
     unless="steer_gain",
 )
-ADD_FIRST_VELOCITY = Kernel(add_first_velocity, gate="velocity_information", variables=("velocity",))
+FIRST_VELOCITY = Kernel(first_velocity, gate="velocity_information", variables=("velocity",))
 
 
 LARGEST_ROUNDING = 1e-3
@@ -122,7 +87,7 @@ class Motion(Term):
         Field("velocity_information", "of the prior on the velocity, where it applies"),
     )
     scaled = (("motion_information", _DENSITY, -1.0),)
-    kernels: ClassVar[tuple[Kernel, ...]] = (ADD_MOTION, ADD_FIRST_VELOCITY)
+    kernels: ClassVar[tuple[Kernel, ...]] = (ACCELERATION, FIRST_VELOCITY)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """`WnoaMotionFactorPoint2`, native and exact."""
@@ -141,18 +106,6 @@ class Motion(Term):
                 )
             )
         return found
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Negative log density of the accelerations and of the first velocity."""
-        motion = self.parameters.motion
-        dt = np.diff(track.t)[:, None]
-        dv = np.diff(states.velocity, axis=0)
-        # Independent parts of Q⁻¹: the velocity step, and the position step beyond the mean velocity.
-        bend = np.diff(states.position, axis=0) - 0.5 * dt * (states.velocity[1:] + states.velocity[:-1])
-        squares = (dv**2 / dt + 12.0 * bend**2 / dt**3) / motion.acceleration_density
-        observed = np.isfinite(track.position).all(axis=1)
-        first = states.velocity[int(np.argmax(observed)) if observed.any() else 0]
-        return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
 
     def is_linear(self, packed: PackedTracks) -> bool:
         """True: the term is linear."""
@@ -225,109 +178,29 @@ def smooth_speed(velocity: FloatArray) -> FloatArray:
     return np.asarray(square / (np.sqrt(square + STANDSTILL**2) + STANDSTILL))
 
 
-@compiled
-def add_steered_motion(
-    before: FloatArray,
-    state: FloatArray,
-    head_cos_before: float,
-    head_sin_before: float,
-    dt: float,
-    steer_gain: float,
-    steer_reach: float,
-    steer_place: float,
-    steer_cross: float,
-    steer_spread: float,
-    exact: bool,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """A step whose velocity turns to the direction of the head.
+def steered_motion(before: Any, now: Any, gain: Any, reach: Any, lag: Any, off: Any, turn: Any) -> list[Any]:
+    """Return the residuals of a step whose velocity turns to the direction of the head.
 
-    With the residuals e of position and velocity and their information, the pull on the aim s·u(α) is
-    −(far·Λe_p + gain·Λe_v); its second derivatives by v and α are what ``exact`` adds to Gauss–Newton.
+    ``turn`` whitens the residual of the velocity, and ``off`` that of the position beyond its part ``lag``.
     """
-    gain, reach = steer_gain, steer_reach
-    keep, far = 1.0 - gain, dt - reach
-    place, cross, spread = steer_place, steer_cross, steer_spread
-    head_cos, head_sin = head_cos_before, head_sin_before
-    vx, vy = before[VX], before[VY]
-    square = vx * vx + vy * vy
-    root = math.sqrt(square + STANDSTILL * STANDSTILL)
-    speed = square / (root + STANDSTILL)
-    nx, ny = vx / root, vy / root
-    aim_x, aim_y = speed * head_cos, speed * head_sin
-    off_x = state[X] - before[X] - reach * vx - far * aim_x
-    off_y = state[Y] - before[Y] - reach * vy - far * aim_y
-    turn_x = state[VX] - keep * vx - gain * aim_x
-    turn_y = state[VY] - keep * vy - gain * aim_y
-    place_x, place_y = place * off_x + cross * turn_x, place * off_y + cross * turn_y
-    spread_x, spread_y = cross * off_x + spread * turn_x, cross * off_y + spread * turn_y
-    gradient[X] += place_x
-    gradient[Y] += place_y
-    gradient[VX] += spread_x
-    gradient[VY] += spread_y
-    gradient_before[X] -= place_x
-    gradient_before[Y] -= place_y
-    pull_x, pull_y = far * place_x + gain * spread_x, far * place_y + gain * spread_y
-    along = head_cos * pull_x + head_sin * pull_y
-    across = head_cos * pull_y - head_sin * pull_x
-    gradient_before[VX] -= reach * place_x + keep * spread_x + along * nx
-    gradient_before[VY] -= reach * place_y + keep * spread_y + along * ny
-    gradient_before[HEAD] -= speed * across
-    # Per axis, the information on the own velocity (own), on the aim (aimed) and on both.
-    to_place, to_spread = reach * place + keep * cross, reach * cross + keep * spread
-    own = reach * to_place + keep * to_spread
-    both = far * to_place + gain * to_spread
-    aim_place, aim_spread = far * place + gain * cross, far * cross + gain * spread
-    aimed = far * aim_place + gain * aim_spread
-    for axis in range(2):
-        p, v = X + axis, VX + axis
-        hessian[p, p] += place
-        hessian[v, p] += cross
-        hessian[v, v] += spread
-        hessian_before[p, p] += place
-        u = head_cos if axis == 0 else head_sin
-        w = -head_sin if axis == 0 else head_cos
-        transition[p, p] -= place
-        transition[p, v] -= cross
-        transition[v, p] -= to_place
-        transition[v, v] -= to_spread
-        transition[VX, p] -= nx * u * aim_place
-        transition[VX, v] -= nx * u * aim_spread
-        transition[VY, p] -= ny * u * aim_place
-        transition[VY, v] -= ny * u * aim_spread
-        transition[HEAD, p] -= speed * w * aim_place
-        transition[HEAD, v] -= speed * w * aim_spread
-        hessian_before[v, p] += to_place
-        hessian_before[VX, p] += nx * u * aim_place
-        hessian_before[VY, p] += ny * u * aim_place
-        hessian_before[HEAD, p] += speed * w * aim_place
-    # MᵀΛM with M = reach·I + far·u·nᵀ for the position, keep·I + gain·u·nᵀ for the velocity.
-    hessian_before[VX, VX] += own + 2.0 * both * head_cos * nx + aimed * nx * nx
-    hessian_before[VY, VX] += both * (head_cos * ny + head_sin * nx) + aimed * nx * ny
-    hessian_before[VY, VY] += own + 2.0 * both * head_sin * ny + aimed * ny * ny
-    hessian_before[HEAD, VX] -= speed * both * head_sin
-    hessian_before[HEAD, VY] += speed * both * head_cos
-    hessian_before[HEAD, HEAD] += speed * speed * aimed
-    if exact:
-        bend = along / root
-        hessian_before[VX, VX] -= bend * (1.0 - nx * nx)
-        hessian_before[VY, VX] += bend * nx * ny
-        hessian_before[VY, VY] -= bend * (1.0 - ny * ny)
-        hessian_before[HEAD, VX] -= across * nx
-        hessian_before[HEAD, VY] -= across * ny
-        hessian_before[HEAD, HEAD] += speed * along
-    return 0.5 * (off_x * place_x + off_y * place_y + turn_x * spread_x + turn_y * spread_y)
+    square, found = before.vx**2 + before.vy**2, []
+    speed = square / (sympy.sqrt(square + STANDSTILL**2) + STANDSTILL)
+    for p, v, p_before, v_before, u in (
+        (now.x, now.vx, before.x, before.vx, sympy.cos(before.head)),
+        (now.y, now.vy, before.y, before.vy, sympy.sin(before.head)),
+    ):
+        of_velocity = v - (1 - gain) * v_before - gain * speed * u
+        of_position = p - p_before - reach * v_before - (now.dt - reach) * speed * u
+        found += [off * (of_position - lag * of_velocity), turn * of_velocity]
+    return found
 
 
-ADD_STEERED_MOTION = Kernel(
-    add_steered_motion,
+STEERED_MOTION = Kernel(
+    steered_motion,
     gate="steer_gain",
     variables=("position", "velocity"),
     before=("position", "velocity", "head"),
+    names={name: f"steer_{name}" for name in ("gain", "reach", "lag", "off", "turn")},
 )
 
 
@@ -347,33 +220,16 @@ class IntentionalMotion(Motion):
         *Motion.fields,
         Field("steer_gain", "share of the velocity that turns to the head; 0: white-noise acceleration"),
         Field("steer_reach", "seconds that the old velocity carries on"),
-        Field("steer_place", "information on the position, on both, and on the velocity"),
-        Field("steer_cross", ""),
-        Field("steer_spread", ""),
+        Field("steer_lag", "seconds: regression of the position's noise on the velocity's"),
+        Field("steer_off", "1/σ of the position's noise beyond that, 1/m, and of the velocity's, s/m"),
+        Field("steer_turn", ""),
     )
-    kernels = (*Motion.kernels, ADD_STEERED_MOTION)
+    kernels = (*Motion.kernels, STEERED_MOTION)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """One factor of four variables from the steered kernel; the native one where λ = 0."""
         steered = self.parameters.motion.head_rate > 0.0
         return self.derived_factors(step) if steered else super().factors(step)
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Negative log density of the noise and of the first velocity."""
-        motion = self.parameters.motion
-        if motion.head_rate == 0.0:
-            return super().cost(states, track, camera)
-        dt, before = np.diff(track.t)[:, None], states.velocity[:-1]
-        rate = head_rates(track.input(HEAD_RATE), motion.head_rate)[1:, None]
-        keep, reach, place, cross, spread = steered_step(dt, rate)
-        aim = smooth_speed(before)[:, None] * unit(states.head[:-1])
-        off = np.diff(states.position, axis=0) - reach * before - (dt - reach) * aim
-        turn = states.velocity[1:] - keep * before - (1.0 - keep) * aim
-        squares = (spread * off**2 - 2.0 * cross * off * turn + place * turn**2) / (
-            motion.acceleration_density * (place * spread - cross**2)
-        )
-        start = np.sum(states.velocity[0] ** 2) / motion.initial_speed_std**2
-        return 0.5 * float(squares.sum() + start)
 
     def is_linear(self, packed: PackedTracks) -> bool:
         """False: the steered speed is not linear."""
@@ -390,12 +246,12 @@ class IntentionalMotion(Motion):
         dt, rate = packed.dt[~packed.is_first], rates[~packed.is_first]
         moments = steered_step(dt, rate)
         density = packed.parameter(_DENSITY, motion.acceleration_density) * np.ones(len(rates))
-        scale = density[~packed.is_first] * (moments.place * moments.spread - moments.cross**2)
+        density, lag = density[~packed.is_first], moments.cross / moments.spread
         for name, values in (
             ("steer_gain", -np.expm1(-rate * dt)),
             ("steer_reach", moments.reach),
-            ("steer_place", moments.spread / scale),
-            ("steer_cross", -moments.cross / scale),
-            ("steer_spread", moments.place / scale),
+            ("steer_lag", lag),
+            ("steer_off", 1.0 / np.sqrt(density * (moments.place - lag * moments.cross))),
+            ("steer_turn", 1.0 / np.sqrt(density * moments.spread)),
         ):
             records[name][~packed.is_first] = values

@@ -9,62 +9,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from graphtrack.geometry.angles import (
-    FloatArray,
-    class_centres,
-    class_kappa,
-    highest_log_density,
-    mixture_log_density,
-)
+from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.kernels.arithmetic import exp, log
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import any_of, choose
-from graphtrack.kernels.layout import Field, Kernel, names_of
+from graphtrack.kernels.layout import Field
+from graphtrack.model.derivation import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
+from graphtrack.model.kernel import Kernel, Orientation
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks, of_alike
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.packages import gtsam, special
-from graphtrack.tracks.track import Track
+from graphtrack.packages import gtsam, special, sympy
+from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
 
-@compiled
-def add_turn(
-    cos_before: float,
-    sin_before: float,
-    cos: float,
-    sin: float,
-    place: int,
-    turn_kappa: float,
-    exact: bool,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """κ·(1 − cos Δ) between an angle and its previous value."""
-    close = cos_before * cos + sin_before * sin
-    pull = turn_kappa * (sin * cos_before - cos * sin_before)
-    curvature = turn_kappa * close if exact else turn_kappa
-    gradient[place] += pull
-    gradient_before[place] -= pull
-    hessian[place, place] += curvature
-    hessian_before[place, place] += curvature
-    transition[place, place] -= turn_kappa * close
-    return turn_kappa * (1.0 - close)
+def turning(before: Any, now: Any, kappa: Any) -> list[Any]:
+    """Return the residuals of κ·(1 − cos Δ) between an angle and its previous value."""
+    return chord(kappa, now.angle, before.angle)
 
 
-def _turning(name: Variable) -> Kernel:
+def _turning(name: Orientation) -> Kernel:
     gate = f"{name}_turn_kappa"
-    names = names_of(name, turn_kappa=gate)
-    return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names)
+    return Kernel(turning, gate, (name,), (name,), angle=name, names={"kappa": gate})
 
 
 class _OrientationDynamics(Term):
@@ -83,11 +54,6 @@ class _OrientationDynamics(Term):
         key = f"{self.name}_key"
         kappa = 1.0 / (self._diffusion * step.dt)
         return [von_mises_between(getattr(step.previous, key), getattr(step, key), kappa)]
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ κ(Δt)·(1 − cos Δ)."""
-        turn = np.diff(getattr(states, self.name))
-        return float(np.sum((1.0 - np.cos(turn)) / (self._diffusion * np.diff(track.t))))
 
     def pack(self, packed: PackedTracks) -> None:
         """κ between frames."""
@@ -120,167 +86,85 @@ class HeadDynamics(_OrientationDynamics):
     kernels = (_turning("head"),)
 
 
-@compiled
-def add_classes(
-    cos: float,
-    sin: float,
-    place: int,
-    heights: FloatArray,
-    directions: FloatArray,
-    kappa: float,
-    exact: bool,
-    gradient: FloatArray,
-    hessian: FloatArray,
-) -> float:
-    """Class likelihoods: −log of a mixture of von Mises densities and a uniform one.
+def observed_angle(now: Any, cos: Any, sin: Any, kappa: Any) -> list[Any]:
+    """Return the residuals of κ·(1 − cos Δ) of an observed angle without outliers."""
+    return chord(kappa, now.angle, (cos, sin))
 
-    ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
-    their sum; ``directions`` (k, 2) the centres' cosines and sines.
+
+def doubtful_angle(now: Any, cos: Any, sin: Any, kappa: Any, uniform: Any) -> Cost:
+    """Return the cost of an observed angle with outliers.
+
+    ``uniform`` is the outliers' density over the density at the peak of the von Mises. With log 2 the cost is
+    never less than Gauss–Newton's residuals: with the inlier's probability p at f = κ·(1 − cos Δ),
+    −log(e^−f + u) − p·f is at least −log 2.
     """
-    n_classes = len(directions)
-    density = 1.0 * heights[n_classes]
-    along = turn = square = mean_cos = mean_sin = 0.0
-    for c in range(n_classes):
-        close = cos * directions[c, 0] + sin * directions[c, 1]
-        across = sin * directions[c, 0] - cos * directions[c, 1]
-        value = heights[c] * math.exp(kappa * (close - 1.0))
-        density += value
-        along += value * close
-        turn += value * across
-        square += value * across * across
-        mean_cos += value * directions[c, 0]
-        mean_sin += value * directions[c, 1]
-    scale = 1.0 / density
-    slope = kappa * turn * scale
-    gradient[place] += slope
-    curvature = kappa * scale * (along - kappa * square) + slope * slope
-    if not exact:
-        # The resultant bounds the curvature; with half of it or more a step never raises the cost.
-        half = 0.5 * kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
-        curvature = choose(curvature > half, curvature, half)
-    hessian[place, place] += curvature
-    return 2.0 * kappa - math.log(density)
+
+    def loss(cost: Any) -> Any:
+        return sympy.log(2) - sympy.log((sympy.exp(-cost) + uniform) / (1 + uniform))
+
+    return Cost(observed_angle(now, cos, sin, kappa), loss)
 
 
-@compiled
-def add_class_quarter_turns(
-    cos: float,
-    sin: float,
-    heights: FloatArray,
-    directions: FloatArray,
-    kappa: float,
-    cost: FloatArray,
-) -> None:
-    """Cost of class likelihoods at a direction and at its quarter turns, by symmetry."""
-    n = len(directions)
-    quarter = n // 4
-    here = onward = opposite = back = 1.0 * heights[n]
-    for c in range(n):
-        value = math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
-        here += heights[c] * value
-        onward += heights[(c + quarter) % n] * value
-        opposite += heights[(c + 2 * quarter) % n] * value
-        back += heights[(c + 3 * quarter) % n] * value
-    cost[0] -= math.log(here)
-    cost[1] -= math.log(onward)
-    cost[2] -= math.log(opposite)
-    cost[3] -= math.log(back)
+def _observed_classes(n: int) -> CostFunction:
+    def cost(now: Any, heights: Any, kappa: Any) -> Cost:
+        """Return −log of a mixture of von Mises densities and a uniform one.
+
+        ``heights`` are the densities of the classes at their centres and of the outliers, divided by their
+        sum. The resultant of the classes bounds the curvature; with half of it or more a step of
+        Gauss–Newton never raises the cost.
+        """
+        *of_classes, uniform = heights
+        angle, centres = now.angle, [2 * sympy.pi * c / n for c in range(n)]
+        units = [(sympy.cos(one).evalf(17), sympy.sin(one).evalf(17)) for one in centres]
+        cosines = [sympy.cos(angle) * x + sympy.sin(angle) * y for x, y in units]
+        values = [h * sympy.exp(kappa * (close - 1)) for h, close in zip(of_classes, cosines, strict=True)]
+        density = sum(values, uniform)
+        value = 2 * kappa - sympy.log(density)
+        x, y = (sum(one * unit[axis] for one, unit in zip(values, units, strict=True)) for axis in (0, 1))
+        half = kappa * sympy.sqrt(x**2 + y**2) / density / 2
+        return Cost(value=value, least=half)
+
+    cost.__name__ = cost.__qualname__ = f"observed_classes_{n}"
+    return cost
 
 
-NOT_NEGATIVE = math.log(2.0)
-"""Constant in the cost of an observed angle with outliers, so that Gauss–Newton's residuals never exceed it:
-with the inlier's probability p at f = κ·(1 − cos Δ), −log(e^−f + u) − p·f is at least −log 2."""
+N_CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
+OBSERVED_CLASSES = {name: _observed_classes(n) for name, n in N_CLASSES.items()}
 
 
 @compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
-    """Return the cost of `add_angle` at a deviation whose cosine is ``close``."""
+    """Return the cost of an observed angle at a deviation whose cosine is ``close``."""
     far = kappa * (1.0 - close)
-    if not any_of(uniform > 0.0):
-        return far
-    return choose(uniform > 0.0, NOT_NEGATIVE - log((exp(-far) + uniform) / (1.0 + uniform)), far)
+    return math.log(2.0) - math.log((math.exp(-far) + uniform) / (1.0 + uniform)) if uniform > 0.0 else far
 
 
-@compiled
-def add_angle(
-    cos: float,
-    sin: float,
-    place: int,
-    mean_cos: float,
-    mean_sin: float,
-    kappa: float,
-    uniform: float,
-    exact: bool,
-    gradient: FloatArray,
-    hessian: FloatArray,
-) -> float:
-    """An observed angle: κ·(1 − cos Δ), with a floor where outliers have a probability.
-
-    ``uniform`` is the outliers' density over the density at the peak of the von Mises, 0 without outliers.
-    """
-    close = cos * mean_cos + sin * mean_sin
-    across = sin * mean_cos - cos * mean_sin
-    far = kappa * (1.0 - close)
-    if not any_of(uniform > 0.0):
-        gradient[place] += kappa * across
-        hessian[place, place] += kappa * close if exact else kappa
-        return far
-    value = math.exp(-far)
-    inlier = value / (value + uniform)
-    slope = kappa * across
-    gradient[place] += inlier * slope
-    if exact:
-        hessian[place, place] += inlier * kappa * close - inlier * (1.0 - inlier) * slope * slope
-    else:
-        hessian[place, place] += inlier * kappa
-    # As in `angle_cost`.
-    return choose(uniform > 0.0, NOT_NEGATIVE - math.log((value + uniform) / (1.0 + uniform)), far)
-
-
-@compiled
-def add_angle_quarter_turns(
-    mean_cos: float, mean_sin: float, kappa: float, uniform: float, cos: float, sin: float, cost: FloatArray
-) -> None:
-    """Add the cost of an observed angle at a direction and at one, two and three quarter turns from it."""
-    close = cos * mean_cos + sin * mean_sin
-    across = sin * mean_cos - cos * mean_sin
-    cost[0] += angle_cost(close, kappa, uniform)
-    cost[1] += angle_cost(-across, kappa, uniform)
-    cost[2] += angle_cost(-close, kappa, uniform)
-    cost[3] += angle_cost(across, kappa, uniform)
-
-
-def _observed(name: Variable) -> tuple[Kernel, Kernel]:
-    """The kernels of an observed angle and of class likelihoods."""
-    names = names_of(name)
-    angle = {"mean_cos": f"observed_{name}_cos", "mean_sin": f"observed_{name}_sin"}
+def _observed(name: Orientation) -> tuple[Kernel, ...]:
+    """The kernels of an observed angle, without or with outliers, and of class likelihoods."""
+    angle = {"cos": f"observed_{name}_cos", "sin": f"observed_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
-    classes = {"kappa": f"{name}_class_kappa"}
-    classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
+    classes = {"kappa": f"{name}_class_kappa", "heights": f"{name}_heights"}
+    doubtful, variables = f"{name}_uniform", (name,)
     return (
+        Kernel(observed_angle, f"{name}_kappa", variables, angle=name, unless=doubtful, names=angle),
+        Kernel(doubtful_angle, doubtful, variables, angle=name, names=angle),
         Kernel(
-            add_angle,
-            f"{name}_kappa",
-            (name,),
-            names=names | angle,
-            add_quarter_turns=add_angle_quarter_turns,
-        ),
-        Kernel(
-            add_classes,
+            OBSERVED_CLASSES[name],
             f"{name}_class_kappa",
-            (name,),
-            names=names | classes,
-            add_quarter_turns=add_class_quarter_turns,
+            variables,
+            angle=name,
+            names=classes,
+            shapes={"heights": (N_CLASSES[name] + 1,)},
         ),
     )
 
 
 def _fields(name: Variable) -> tuple[Field, ...]:
     return (
-        Field(f"observed_{name}_cos", f"direction, concentration and ε/2π of an observed {name} angle"),
+        Field(f"observed_{name}_cos", f"direction and concentration of an observed {name} angle"),
         Field(f"observed_{name}_sin", ""),
         Field(f"{name}_kappa", ""),
-        Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
+        Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises; 0 without"),
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
     )
 
@@ -309,34 +193,6 @@ class _PoseLikelihood(Term):
             return []
         return [von_mises_prior(getattr(step, f"{self.name}_key"), angle, kappa)]
 
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ of the negative log densities, each plus a constant that keeps it from being negative.
-
-        That is the log of the highest density and, for angles, `NOT_NEGATIVE`; for classes 2κ, since
-        −log L − R·(1 − cos) is no less than minus both: the resultant R of the components is at most κ.
-        """
-        likelihood, n = self.parameters.likelihood, len(track)
-        estimate = getattr(states, self.name)
-        angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
-        total, by_class = 0.0, np.zeros(n, bool)
-        if classes is not None:
-            by_class = np.isfinite(classes).all(axis=1)
-            scores, kappa = classes[by_class], class_kappa(classes.shape[1])
-            uniform, centres = likelihood.class_outlier_probability, class_centres(classes.shape[1])
-            total -= float(mixture_log_density(estimate[by_class], centres, scores, kappa, uniform).sum())
-            highest = np.where(scores.any(axis=1), highest_log_density(kappa, uniform), -np.log(2.0 * np.pi))
-            total += float((highest + 2.0 * kappa).sum())
-        if angle is not None:
-            kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)
-            uniform = likelihood.outlier_probability
-            observed = np.isfinite(angle) & ~by_class & (kappas > 0.0)
-            kappas, mean, at = kappas[observed], angle[observed], estimate[observed]
-            if uniform == 0.0:
-                return total + float(np.sum(kappas * (1.0 - np.cos(at - mean))))
-            density = mixture_log_density(at, mean[:, None], np.ones((len(at), 1)), kappas, uniform)
-            total += float(np.sum(highest_log_density(kappas, uniform) + NOT_NEGATIVE - density))
-        return total
-
     def live(self, observed: Observation) -> Sequence[tuple[str, float]]:
         """The direction of an observed angle."""
         angle = getattr(observed, self.name)
@@ -359,11 +215,12 @@ class _PoseLikelihood(Term):
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
-                records[f"{name}_uniform"] = odds * of_alike(special.i0e, kappa)
+                uniform = odds * of_alike(special.i0e, kappa)
+                records[f"{name}_uniform"] = np.where(records[f"{name}_kappa"] > 0.0, uniform, 0.0)
         if heights is not None:
             by_class = np.isfinite(heights[:, 0])
             records[f"{name}_class_kappa"][by_class] = class_kappa(heights.shape[1] - 1)
-            records[f"{name}_kappa"][by_class] = 0.0
+            records[f"{name}_kappa"][by_class] = records[f"{name}_uniform"][by_class] = 0.0
             setattr(packed, f"{name}_heights", heights)
 
     def _heights(self, packed: PackedTracks) -> FloatArray | None:
@@ -408,25 +265,14 @@ orientation without observations has a solution. GTSAM rejects a clique whose la
 the previous one, as between the turning at video frame rates and a weaker anchor."""
 
 
-@compiled
-def add_anchor(
-    cos: float,
-    sin: float,
-    place: int,
-    start: FloatArray,
-    anchor: float,
-    exact: bool,
-    gradient: FloatArray,
-    hessian: FloatArray,
-) -> float:
-    """κ·(1 − cos Δ) between an orientation and its initial value."""
-    mean_cos, mean_sin = math.cos(start[place]), math.sin(start[place])
-    return add_angle(cos, sin, place, mean_cos, mean_sin, anchor, 0.0, exact, gradient, hessian)
+def anchor(now: Any, start: Any, kappa: Any) -> list[Any]:
+    """Return the residuals of κ·(1 − cos Δ) between an orientation and its initial value."""
+    return chord(kappa, now.angle, start)
 
 
-def _held(name: Variable) -> Kernel:
+def _held(name: Orientation) -> Kernel:
     gate = f"{name}_anchor"
-    return Kernel(add_anchor, gate=gate, variables=(name,), names=names_of(name, anchor=gate))
+    return Kernel(anchor, gate, (name,), angle=name, names={"kappa": gate, "start": f"{name}_start"})
 
 
 class Anchor(Term):

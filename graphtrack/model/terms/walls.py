@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import MARGIN, WALLS, WalkableArea
-from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.lanes import choose
-from graphtrack.kernels.layout import Field, Kernel, X, Y
-from graphtrack.model.observation import Observation, States
+from graphtrack.kernels.layout import Field
+from graphtrack.model.derivation import Cost
+from graphtrack.model.kernel import Kernel
+from graphtrack.model.observation import Observation
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term
-from graphtrack.tracks.track import Track
+from graphtrack.packages import sympy
 
 WALL_INPUT = "walls"
 """Name of the input: `WalkableArea.walls` of each frame."""
@@ -38,33 +37,14 @@ def with_walls_at(
     ]
 
 
-@compiled
-def add_wall(
-    state: Any,
-    origin_x: Any,
-    origin_y: Any,
-    wall_x: Any,
-    wall_y: Any,
-    wall_offset: Any,
-    wall_weight: Any,
-    gradient: Any,
-    hessian: Any,
-) -> Any:
-    """½·w·max(0, c − normal·position)², the squared depth beyond the barrier of a half plane."""
-    depth = wall_offset - (wall_x * (state[X] + origin_x) + wall_y * (state[Y] + origin_y))
-    beyond = depth > 0.0
-    depth, weight = choose(beyond, depth, 0.0), choose(beyond, wall_weight, 0.0)
-    push = weight * depth
-    gradient[X] -= push * wall_x
-    gradient[Y] -= push * wall_y
-    hessian[X, X] += weight * wall_x * wall_x
-    hessian[Y, X] += weight * wall_x * wall_y
-    hessian[Y, Y] += weight * wall_y * wall_y
-    return 0.5 * push * depth
+def wall(now: Any, x: Any, y: Any, offset: Any, weight: Any) -> Cost:
+    """Return ½·w·max(0, c − normal·position)², the squared depth beyond the barrier of a half plane."""
+    depth = offset - (x * now.x + y * now.y)
+    return Cost([sympy.sqrt(weight) * depth], where=depth > 0)
 
 
 def _names(k: int) -> dict[str, str]:
-    return {f"wall_{part}": f"wall{k}_{part}" for part in ("x", "y", "offset", "weight")}
+    return {part: f"wall{k}_{part}" for part in ("x", "y", "offset", "weight")}
 
 
 class StaysInside(Term):
@@ -82,14 +62,8 @@ class StaysInside(Term):
         )
     )
     kernels: ClassVar[tuple[Kernel, ...]] = tuple(
-        Kernel(add_wall, gate=f"wall{k}_weight", variables=("position",), names=_names(k))
-        for k in range(WALLS)
+        Kernel(wall, gate=f"wall{k}_weight", variables=("position",), names=_names(k)) for k in range(WALLS)
     )
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ over frames and walls."""
-        depth = barrier_depth(track.input(WALL_INPUT, 3 * WALLS), states.position)
-        return 0.5 * float(np.sum(np.square(depth / STD)))
 
     def pack(self, packed: PackedTracks) -> None:
         """Normals and offsets of the frames; no weight where there is no wall."""
