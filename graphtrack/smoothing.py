@@ -7,10 +7,10 @@ model that has them), and solve with an engine.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.constants import filters
@@ -36,7 +36,13 @@ from graphtrack.io.read_write import are_paths, is_table
 from graphtrack.model import Model
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
-from graphtrack.tracks.gaps import LONGEST_FILLED, at_times, filled, split_at_gaps, with_times_at
+from graphtrack.tracks.gaps import (
+    LONGEST_FILLED,
+    at_times,
+    split_at_gaps,
+    with_missing_frames,
+    with_times_at,
+)
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -55,7 +61,7 @@ def solve(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
+    trust: Trust = "check",
     walkable: AreaLike | None = None,
     constants: Constants | None = None,
 ) -> list[Solution | Failure]:
@@ -85,15 +91,13 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    given = tracks_of(tracks, scene=model.scene)
-    make_smoothing_ready(model, solver, given.camera, constants, trust)
-    given, model, verdict = trusted(given, model, trust, constants)
-    for line in verdict:
+    work = prepare(tracks_of(tracks, scene=model.scene), model, solver, trust=trust, constants=constants)
+    for line in work.notes:
         warnings.warn(line, InputWarning, stacklevel=2)
     area = None if walkable is None else WalkableArea.of(walkable)
     return solve_tracks(
-        given,
-        model,
+        work.observed,
+        work.model,
         solver,
         jobs=jobs,
         options=options,
@@ -101,6 +105,63 @@ def solve(
         walkable=area,
         constants=constants,
     )
+
+
+class Prepared(NamedTuple):
+    """A recording before it is solved.
+
+    Attributes
+    ----------
+    tracks : with the times of the estimates
+    observed : the same with the noise that is believed
+    model : with the noise that is believed
+    notes : what was changed, and where the data contradict the declared noise
+    resample, origin : frames a second of the estimates, if they have other times, and where these begin
+    """
+
+    tracks: TrackSet
+    observed: TrackSet
+    model: Model
+    notes: tuple[str, ...]
+    resample: float | None
+    origin: float
+
+    def estimates(self, found: Iterable[Solution | Failure]) -> TrackSet:
+        """Return the solutions' estimates at their times."""
+        estimates = self.tracks.with_tracks(one.track for one in found if isinstance(one, Solution))
+        return estimates if self.resample is None else at_times(estimates, self.resample, self.origin)
+
+
+def prepare(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    *,
+    fill: bool = False,
+    split_gap: float | None = None,
+    resample: float | None = None,
+    trust: Trust = "check",
+    constants: Constants | None = None,
+) -> Prepared:
+    """Split tracks, insert missing frames, and check the declared noise; the solver is made ready.
+
+    Parameters
+    ----------
+    split_gap : as in `smooth`; None: no track is split
+    others : as in `smooth`
+    """
+    notes: tuple[str, ...] = ()
+    if split_gap is not None:
+        tracks, notes = split_at_gaps(tracks, split_gap)
+    origin = min((float(track.t[0]) for track in tracks), default=0.0)
+    if fill:
+        tracks, more = with_missing_frames(tracks)
+        notes += more
+    if resample is not None:
+        tracks = with_times_at(tracks, resample)
+    make_smoothing_ready(model, engine, tracks.camera, constants, trust)
+    observed, model, verdict = trusted(tracks, model, trust, constants)
+    return Prepared(tracks, observed, model, (*notes, *verdict), resample, origin)
 
 
 def solve_tracks(
@@ -243,7 +304,7 @@ def smooth(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-    trust: Trust = "declared",
+    trust: Trust = "check",
     fill: bool | None = None,
     split_gap: float = LONGEST_FILLED,
     resample: float | None = None,
@@ -256,8 +317,8 @@ def smooth(
     Parameters
     ----------
     tracks, model, engine, jobs, options, progress, trust, walkable, constants : as in `solve`
-    fill : True: also estimate frames between a track's rows that its table leaves out, see `gaps.filled`;
-        False: not even those in which a person whose detections were associated was missed
+    fill : also estimate frames between a track's rows that its table leaves out (`gaps.filled`), and those in
+        which a person whose detections were associated was missed; by default where ``tracks`` is read
     split_gap : seconds; see `gaps.split_at_gaps`. A single `Track` is not split
     resample : frames a second (Hz) of estimates in place of the tracks' times; see `gaps.with_times_at`
     **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
@@ -273,32 +334,35 @@ def smooth(
         For the first track that cannot be smoothed; `solve` returns the rest in that case.
     """
     model = Model.named(model)
+    solver = engine_of(model, engine)
     read = isinstance(tracks, str | Path) or is_table(tracks) or are_paths(tracks)
     if fill is False and read:
         reading["missed_rows"] = False
     given = tracks_of(tracks, scene=model.scene, **reading)
-    if not isinstance(tracks, Track):
-        given, _ = split_at_gaps(given, split_gap)
-    origin = min((float(track.t[0]) for track in given), default=0.0)
-    if fill:
-        given = filled(given)
-    if resample is not None:
-        given = with_times_at(given, resample)
-    found = solve(
+    work = prepare(
         given,
         model,
-        engine=engine,
+        solver,
+        fill=read if fill is None else fill,
+        split_gap=None if isinstance(tracks, Track) else split_gap,
+        resample=resample,
+        trust=trust,
+        constants=constants,
+    )
+    for line in work.notes:
+        warnings.warn(line, InputWarning, stacklevel=2)
+    found = solve_tracks(
+        work.observed,
+        work.model,
+        solver,
         jobs=jobs,
         options=options,
         progress=progress,
-        trust=trust,
-        walkable=walkable,
+        walkable=None if walkable is None else WalkableArea.of(walkable),
         constants=constants,
     )
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)
-    estimates = given.with_tracks(result.track for result in found if isinstance(result, Solution))
-    if resample is not None:
-        estimates = at_times(estimates, resample, origin)
+    estimates = work.estimates(found)
     return estimates.tracks[0] if isinstance(tracks, Track) else estimates

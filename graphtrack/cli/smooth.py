@@ -19,7 +19,6 @@ from graphtrack.tracks.display import counted, duration
 if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.scale import Dataset
-    from graphtrack.tracks.track import TrackSet
 
 
 LARGE = 512 * 2**20
@@ -174,12 +173,11 @@ def smooth(
         {**reading.inputs(inputs, model), "--walkable": walkable},
         table=output,
     )
-    from graphtrack.constants.declared import trusted
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
-    from graphtrack.smoothing import make_smoothing_ready, solve_tracks
-    from graphtrack.tracks.gaps import LONGEST_FILLED, at_times, split_at_gaps, with_times_at
+    from graphtrack.smoothing import prepare, solve_tracks
+    from graphtrack.tracks.gaps import LONGEST_FILLED
 
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
@@ -206,23 +204,23 @@ def smooth(
         )
         return
     tracks = reading.tracks(inputs, scene=chosen.scene, missed_rows=fill is not False)
-    tracks, notes = split_at_gaps(tracks, LONGEST_FILLED if split_gap is None else split_gap)
-    for line in notes:
+    work = prepare(
+        tracks,
+        chosen,
+        solver,
+        fill=fill is not False,
+        split_gap=LONGEST_FILLED if split_gap is None else split_gap,
+        resample=resample,
+        trust=trust or "check",
+        constants=constants,
+    )
+    for line in work.notes:
         emit(f"  note: {line}")
-    origin = min(float(track.t[0]) for track in tracks)
-    if fill is not False:
-        tracks = _without_gaps(tracks)
-    if resample is not None:
-        tracks = with_times_at(tracks, resample)
-    trust = trust or "check"
-    make_smoothing_ready(chosen, solver, tracks.camera, constants, trust)
-    observed, chosen, verdict = trusted(tracks, chosen, trust, constants)
-    for line in verdict:
-        emit(f"  note: {line}")
+    tracks, chosen = work.tracks, work.model
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(
-            observed,
+            work.observed,
             chosen,
             solver,
             jobs=jobs,
@@ -235,7 +233,7 @@ def smooth(
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write_tracks(estimates if resample is None else at_times(estimates, resample, origin), output)
+        write_tracks(work.estimates(found), output)
     unconverged = [result for result in good if not result.converged]
     emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "
@@ -263,24 +261,6 @@ def smooth(
         emit(f"error: track {failure.track_id}: {failure.reason}")
     if bad:
         raise typer.Exit(BAD_INPUT)
-
-
-def _without_gaps(tracks: TrackSet) -> TrackSet:
-    """Insert missing frames, and report their number."""
-    from graphtrack.tracks.gaps import LONGEST_FILLED, filled, gaps_without_time, unfilled_gaps
-
-    found = filled(tracks)
-    inserted, left = found.n_frames - tracks.n_frames, unfilled_gaps(tracks)
-    if inserted:
-        share = 100.0 * tracks.n_frames / found.n_frames
-        there = f"{tracks.n_frames:,} of {found.n_frames:,} frames have rows ({share:.1f} %)"
-        verdict = f"{there}; the others are filled"
-        emit(f"  note: {verdict}")
-    if left:
-        emit(f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
-    if odd := gaps_without_time(tracks):
-        emit(f"  note: {counted(odd, 'gap')} not filled, whose frame numbers do not fit the times")
-    return found
 
 
 def warm_up(

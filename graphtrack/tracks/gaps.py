@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks.display import listed
+from graphtrack.tracks.display import counted, listed
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_FRAME, is_number
@@ -137,6 +137,20 @@ def _jumps(track: Track) -> NDArray[np.bool_]:
     jump &= ~is_far(k - 1, k) & ~is_far(k + 1, k + 2)
     found[known[k[jump] + 1] - 1] = True
     return found
+
+
+def with_missing_frames(tracks: TrackSet) -> tuple[TrackSet, tuple[str, ...]]:
+    """Return tracks with missing frames inserted, and notes on them."""
+    found, notes = filled(tracks), []
+    if found.n_frames > tracks.n_frames:
+        share = 100.0 * tracks.n_frames / found.n_frames
+        there = f"{tracks.n_frames:,} of {found.n_frames:,} frames have rows ({share:.1f} %)"
+        notes.append(f"{there}; the others are filled")
+    if left := unfilled_gaps(tracks):
+        notes.append(f"{counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled")
+    if odd := gaps_without_time(tracks):
+        notes.append(f"{counted(odd, 'gap')} not filled, whose frame numbers do not fit the times")
+    return found, tuple(notes)
 
 
 def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:

@@ -41,7 +41,7 @@ def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters)
 
 
 def _loss(robust: Any, k: Any) -> Callable[[Any], Any]:
-    """Return the loss of a cost ½·d², with the threshold k of the distance d, as GTSAM's estimators have it."""
+    """Return the loss of a cost ½·d² with the threshold k of d, as GTSAM's estimators have it."""
 
     def loss(cost: Any) -> Any:
         huber = sympy.Piecewise((k * sympy.sqrt(2 * cost) - k**2 / 2, 2 * cost > k**2), (cost, True))
