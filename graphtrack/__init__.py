@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
-    from graphtrack.model import Model, Observation, Parameters, Term, chord, presets, term
+    from graphtrack.model import Cost, Model, Observation, Parameters, Term, chord, presets, term
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
+    "Cost",
     "Estimate",
     "Failure",
     "Forecast",
@@ -132,7 +133,7 @@ _HOMES = {
     "io.formats.movement": "from_movement to_movement",
     "io.formats.pedpy": "from_pedpy to_pedpy",
     "io.libraries": "to_geopandas",
-    "model": "Model Observation Parameters Term chord presets term",
+    "model": "Cost Model Observation Parameters Term chord presets term",
     "report.page": "write_report",
     "simulation.degrade": "add_noise",
     "simulation.sampling": "simulate",

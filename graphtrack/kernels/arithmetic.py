@@ -1,9 +1,10 @@
-"""Bessel functions in compiled code."""
+"""Bessel functions and angles in compiled code."""
 
 from __future__ import annotations
 
 import math
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import compiled
 
 
@@ -18,3 +19,25 @@ def log_i0e(x: float) -> float:
     series = 0.00916281 + y * (-0.02057706 + y * (0.02635537 + y * (-0.01647633 + y * 0.00392377)))
     series = 0.39894228 + y * (0.01328592 + y * (0.00225319 + y * (-0.00157565 + y * series)))
     return math.log(series) - 0.5 * math.log(x)
+
+
+TURN = 2.0 * math.pi
+
+
+@compiled
+def wrapped(angle: float) -> float:
+    """Return the angle between −π and π that differs by whole turns."""
+    return angle - TURN * math.floor(angle / TURN + 0.5)
+
+
+@compiled
+def near(angle: float, reference: float) -> float:
+    """Return the angle that differs by whole turns and is nearest to another."""
+    return reference + wrapped(angle - reference)
+
+
+@compiled
+def quarter_turn(turns: FloatArray) -> None:
+    """Turn body and head by 90°: their cosines and sines (4,), in place."""
+    turns[0], turns[1] = -turns[1], turns[0]
+    turns[2], turns[3] = -turns[3], turns[2]

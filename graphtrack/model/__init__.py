@@ -1,7 +1,6 @@
 """The model: terms, parameters and presets."""
 
-from graphtrack.model.derivation import FrameSymbols, chord
-from graphtrack.model.factors import FactorShapeError, custom_factor
+from graphtrack.model.derivation import Cost, FrameSymbols, chord
 from graphtrack.model.function_term import FunctionTerm, term
 from graphtrack.model.model import Model, presets
 from graphtrack.model.observation import Observation, States, Step
@@ -15,8 +14,8 @@ from graphtrack.model.parameters import (
 from graphtrack.model.term import Term
 
 __all__ = [
+    "Cost",
     "CouplingParameters",
-    "FactorShapeError",
     "FrameSymbols",
     "FunctionTerm",
     "LikelihoodParameters",
@@ -29,7 +28,6 @@ __all__ = [
     "Step",
     "Term",
     "chord",
-    "custom_factor",
     "presets",
     "term",
 ]

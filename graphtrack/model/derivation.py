@@ -105,7 +105,7 @@ class FrameSymbols:
 
 
 class Derived:
-    """What follows from a function of costs.
+    """Kernel, density and places of variables of a function of costs.
 
     Attributes
     ----------

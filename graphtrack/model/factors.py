@@ -1,6 +1,6 @@
-"""GTSAM factors: native von Mises, custom ones through a checked wrapper, and those derived from kernels.
+"""GTSAM factors: native von Mises, and those derived from kernels.
 
-GTSAM does not check a callback's Jacobians; `custom_factor` makes wrong shapes Python errors. From a kernel's
+From a kernel's
 cost c, gradient g and Gauss–Newton block H, a pivoted Cholesky factorisation makes rows with JᵀJ = H and
 Jᵀr = g; one more row, without Jacobian, carries the cost c beyond ½‖r‖².
 """
@@ -8,14 +8,13 @@ Jᵀr = g; one more row, without Jacobian, carries the cost c beyond ½‖r‖²
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import GraphtrackError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N, Sums
@@ -41,102 +40,10 @@ def von_mises_between(first: int, second: int, kappa: float) -> gtsam.NonlinearF
     return gtsam.FrobeniusBetweenFactorRot2(first, second, gtsam.Rot2(), von_mises_noise(kappa))
 
 
-Residual = Callable[["gtsam.Values"], FloatArray]
-Linearised = Callable[["gtsam.Values"], tuple[FloatArray, Sequence[FloatArray]]]
-
-_DIMENSION = {"x": 2, "v": 2, "b": 1, "h": 1}
-
-
-class FactorShapeError(GraphtrackError):
-    """A custom factor that returned arrays of a wrong shape."""
-
-
-def custom_factor(
-    keys: Sequence[int],
-    rows: int,
-    residual: Residual,
-    linearised: Linearised | None = None,
-    noise: gtsam.noiseModel.Base | None = None,
-) -> gtsam.CustomFactor:
-    """A factor ½‖r(values)‖² from a function that returns the whitened residual.
-
-    Parameters
-    ----------
-    keys : GTSAM keys of the variables: positions, velocities, body and head orientations of some steps
-    rows : number of residual rows m
-    residual : values → (m,)
-    linearised : values → residual (m,) and one Jacobian (m, d) for each key, d = 2 for positions and
-        velocities, 1 for orientations. Without it the Jacobians are central differences.
-    noise : noise model of m rows, for robust factors; None: the residual is whitened already
-
-    Raises
-    ------
-    FactorShapeError
-        When the factor is used, if a function returns another shape; the message names the key.
-    """
-    keys = list(keys)
-    shapes = [(rows, variable_dimension(key)) for key in keys]
-
-    def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        del this  # a traceback would keep it, and its repr after the factor is freed ends the process
-        if jacobians is None:
-            value = residual(values)
-        elif linearised is None:
-            value = residual(values)
-            if value.shape != (rows,):
-                raise FactorShapeError(f"found a residual of shape {value.shape}, expected ({rows},)")
-            for i, jacobian in enumerate(numerical_jacobians(residual, values, keys)):
-                jacobians[i] = jacobian
-        else:
-            value, given = linearised(values)
-            if len(given) != len(keys):
-                raise FactorShapeError(
-                    f"found {len(given)} Jacobians, expected {len(keys)}, one for each key"
-                )
-            for i, shape in enumerate(shapes):
-                if given[i].shape != shape:
-                    name = gtsam.DefaultKeyFormatter(keys[i])
-                    raise FactorShapeError(f"found a Jacobian {given[i].shape} by {name}, expected {shape}")
-                jacobians[i] = given[i]
-        if value.shape != (rows,):
-            raise FactorShapeError(f"found a residual of shape {value.shape}, expected ({rows},)")
-        return value
-
-    return gtsam.CustomFactor(unit_noise(rows) if noise is None else noise, keys, callback)
-
-
 @cache
 def unit_noise(rows: int) -> gtsam.noiseModel.Base:
     """The noise model of whitened residuals."""
     return gtsam.noiseModel.Unit.Create(rows)
-
-
-def variable_dimension(key: int) -> int:
-    """Degrees of freedom of the variable behind a key: 2 for X and V, 1 for B and H."""
-    letter = chr(gtsam.Symbol(key).chr())
-    if letter not in _DIMENSION:
-        name = gtsam.DefaultKeyFormatter(key)
-        raise FactorShapeError(f"found the key {name}, expected one of x, v, b, h")
-    return _DIMENSION[letter]
-
-
-def numerical_jacobians(
-    residual: Residual, values: gtsam.Values, keys: Sequence[int], step: float = 1e-6
-) -> list[FloatArray]:
-    """Central differences of a residual through ``retract``: one (m, d) array for each key."""
-    result = []
-    for key in keys:
-        dimension = variable_dimension(key)
-        columns = []
-        for axis in range(dimension):
-            sides = []
-            for sign in (1.0, -1.0):
-                delta = gtsam.VectorValues()
-                delta.insert(key, sign * step * np.eye(dimension)[axis])
-                sides.append(np.asarray(residual(values.retract(delta))))
-            columns.append((sides[0] - sides[1]) / (2.0 * step))
-        result.append(np.stack(columns, axis=1))
-    return result
 
 
 _SMALLEST_PIVOT = 1e-14  # Relative to the greatestpivot; smaller pivots are rounding errors
@@ -214,7 +121,6 @@ def _factor(call: _Call, live: Sequence[tuple[str, float]], step: Step) -> gtsam
     evaluation = _Evaluation(call, live, keys)
     blocks = [evaluation.jacobian[:, part] for part in call.parts]
 
-    # Without `custom_factor`, whose checks take as long as a kernel.
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         del this  # a traceback would keep it, and its repr after the factor is freed ends the process
         evaluation(values)

@@ -47,7 +47,7 @@ class Kernel:
 
     @property
     def derived(self) -> Derived:
-        """What SymPy derives from the function."""
+        """Sources and density, derived by SymPy."""
         return derived(self.function, tuple(self.shapes.items()))
 
     @cached_property

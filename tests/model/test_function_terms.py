@@ -165,3 +165,36 @@ def test_what_is_no_term_is_told() -> None:
     track = replace(walk(5), inputs={"told": np.zeros(5), "turn": np.zeros(5)})
     with pytest.raises(InputError, match="input 'told' of one number"):
         gt.solve(track, gt.Model("joint", terms=[TERMS[2]]), engine="gtsam")
+
+
+def favours_east(now: Any) -> Any:
+    """The body likes to point to +x."""
+    return gt.chord(1, now.body)
+
+
+def test_a_term_brings_its_orientation_into_the_model() -> None:
+    model = gt.Model("position", terms=[gt.term(favours_east)])
+    (found,) = gt.solve(walk(8), model, engine="gtsam")
+    assert isinstance(found, gt.Solution)
+    assert found.track.body is not None and found.track.covariance is not None
+    np.testing.assert_allclose(found.track.body, 0.0, atol=1e-4)
+    assert found.track.head is None
+    # The density is exp(cos θ), whose curvature at its top is 1.
+    np.testing.assert_allclose(found.track.covariance[:, 4, 4], 1.0, rtol=1e-3)
+
+
+def skewed(now: Any, low: float) -> Any:
+    """A loss that only counts below a speed, with heavy tails."""
+    speed = sympy.sqrt(now.vx**2 + now.vy**2 + 1e-6)
+    return gt.Cost([low - speed], loss=lambda c: sympy.log(1 + c), where=speed < low)
+
+
+def test_a_cost_may_have_a_loss_and_a_condition() -> None:
+    track = walk(8, seed=3)
+    term, states = gt.term(skewed, low=1.5), initial_states(track, gt.Model("joint"))
+    speed = np.sqrt(np.sum(states.velocity**2, axis=1) + 1e-6)
+    expected = np.where(speed < 1.5, np.log1p(0.5 * (1.5 - speed) ** 2), 0.0)
+    packed, rows = packed_alone(term, track), np.nan_to_num(rows_of(states))
+    costs = [evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(8)]
+    assert term.cost(states, track) == pytest.approx(expected.sum(), rel=1e-12)
+    np.testing.assert_allclose(costs, expected, rtol=1e-12)

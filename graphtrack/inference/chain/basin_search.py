@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.newton import Workspace, copy_rows, note_turns
+from graphtrack.kernels.arithmetic import TURN, quarter_turn, wrapped
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem
 from graphtrack.model.generator import orientation_costs
@@ -22,8 +23,6 @@ from graphtrack.model.terms.orientation import angle_cost
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 Single = NDArray[np.float32]
-
-_TURN = 2.0 * math.pi
 
 SURE = 4.0  # Greatest concentration that the past of a window has in the search for another basin
 
@@ -66,13 +65,6 @@ def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> flo
                 gain[way, q] = max(gain[way, q], 0.0)
                 greatest = max(greatest, gain[way, q])
     return greatest
-
-
-@inner
-def quarter_turn(turns: FloatArray) -> None:
-    """Turn body and head, (4,) cosines and sines, by 90°."""
-    turns[0], turns[1] = -turns[1], turns[0]
-    turns[2], turns[3] = -turns[3], turns[2]
 
 
 @inner
@@ -329,7 +321,7 @@ def admit_rejected(problem: Problem, track: int, states: FloatArray) -> bool:
         for k in range(n - 1, -1, -1):
             if way == 1 and is_rejected(problem.records[offset + k], place, states[k, place]):
                 turn = observed_angle(problem.records[offset + k], place)[0] - states[k, place]
-                states[k, place] += turn - _TURN * math.floor(turn / _TURN + 0.5)
+                states[k, place] += wrapped(turn)
                 moved = True
             way = back[k, way]
     return moved
@@ -348,7 +340,7 @@ def turn_to(chain: Chain, k: int, states: FloatArray, place: int) -> tuple[float
     frame = chain.problem.records[chain.problem.offsets[chain.track] + k]
     kappa = frame.body_turn_kappa if place == BODY else frame.head_turn_kappa
     turn = states[k, place] - states[k - 1, place]
-    return turn - _TURN * math.floor(turn / _TURN + 0.5), 1.0 / kappa if kappa > 0.0 else _TURN
+    return wrapped(turn), 1.0 / kappa if kappa > 0.0 else TURN
 
 
 @compiled
@@ -392,14 +384,14 @@ def unwind(chain: Chain, states: FloatArray, dearer: float, workspace: Workspace
                         break
                     slow, at_slow, variance = slow + 1, at_slow + step, variance + diffuses
             # A turn costs half of its square over the variance.
-            if _TURN * (math.pi - abs(at_slow)) < dearer * variance:
+            if TURN * (math.pi - abs(at_slow)) < dearer * variance:
                 if not found:
                     copy_rows(0, frames, states, again)
                     found = True
                 first = states[begin, place]
-                other = at_slow - _TURN * math.floor(at_slow / _TURN + 0.5)
+                other = wrapped(at_slow)
                 if other == at_slow:
-                    other -= math.copysign(_TURN, at_slow)
+                    other -= math.copysign(TURN, at_slow)
                 for m in range(begin + 1, slow):
                     again[m, place] = first + other * ((m - begin) / (slow - begin))
             begin = -1

@@ -33,6 +33,7 @@ from graphtrack.inference.chain.newton import (
     minimise,
     workspace,
 )
+from graphtrack.kernels.arithmetic import wrapped
 from graphtrack.kernels.compilation import allocating, compiled, inner
 from graphtrack.kernels.layout import BODY, HEAD, VY, Chain, N, Problem, X, Y
 from graphtrack.model import Model
@@ -131,8 +132,7 @@ def note_rival(solved: Solved, dearer: float, apart: FloatArray) -> None:
     for k in range(solved.chain.n):
         for i in range(2):
             turn = solved.memory.rival[k, BODY + i] - solved.states[k, BODY + i]
-            turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-            apart[k, i] = share * turn
+            apart[k, i] = share * wrapped(turn)
 
 
 @allocating

@@ -37,6 +37,7 @@ from graphtrack.inference.chain.newton import (
     whiten,
     workspace,
 )
+from graphtrack.kernels.arithmetic import near
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.kernels.layout import BODY, BOTH, HEAD, LINKS, OWN, VX, VY, Chain, N, Problem, X, Y
 from graphtrack.model.generator import FrameProgram, add_frame, cut
@@ -289,7 +290,7 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
     for place in (BODY, HEAD):
         reference = states[0, place]
         for k in range(len(states)):
-            again[k, place] -= 2.0 * math.pi * round((again[k, place] - reference) / (2.0 * math.pi))
+            again[k, place] = near(again[k, place], reference)
             reference = again[k, place]
         turn = again[0, place] - states[0, place]
         if len(prior) > 0 and math.cos(turn) < AT_END:
