@@ -96,7 +96,7 @@ class LearnedScene:
     """Parameters of a scene, learned from some of its detections."""
 
     scene: SceneParameters
-    velocities: FloatArray  # see `velocities_of`
+    velocities: NDArray[np.void]  # see `velocities_of`
     rates: GroundRates
     appearance: AppearanceEvidence
 

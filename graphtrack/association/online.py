@@ -300,7 +300,7 @@ class OnlineAssociation(Moves, Saved):
         often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
         since = np.arange(longest)[:, None]
         seconds = self.step_seconds * np.minimum(since, frames - 1) + AHEAD
-        goal = chains.position[last] + seconds[:, :, None] * chains.state[last, 2:4]
+        goal = chains.position[last] + seconds[:, :, None] * chains.velocity[last]
         rate = np.ones(seconds.shape)
         if self._ground_rates is not None:
             rate = self._ground_rates.leaving_for(goal.reshape(-1, 2)).reshape(rate.shape)
