@@ -92,7 +92,7 @@ class Builder:
         rotation: FloatArray | None = None,
     ) -> None:
         """Add an ellipsoid; ``clip`` (n, d) is in units of its semi-axes."""
-        self._add(ELLIPSOID, centre, semi_axes, colour, clip, texture, skin, rotation)
+        self._add(ELLIPSOID, centre, semi_axes, colour, texture, skin=skin, clip=clip, rotation=rotation)
 
     def box(
         self,
@@ -104,7 +104,7 @@ class Builder:
         rotation: FloatArray | None = None,
     ) -> None:
         """Add a box of twice the semi-axes."""
-        self._add(BOX, centre, semi_axes, colour, _NO_CLIP, texture, False, rotation)
+        self._add(BOX, centre, semi_axes, colour, texture, rotation=rotation)
 
     def limb(
         self,
@@ -128,9 +128,9 @@ class Builder:
         v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
         rotation = np.array([u, v, (x, y, z)]).T
         middle, semi = (start + end) / 2.0, (radius, radius, length / 2.0)
-        self._add(TUBE, middle, semi, colour, _NO_CLIP, texture, skin, rotation)
+        self._add(TUBE, middle, semi, colour, texture, skin=skin, rotation=rotation)
         for ball in (start, end):
-            self._add(ELLIPSOID, ball, (radius,) * 3, colour, _NO_CLIP, texture, skin, None)
+            self._add(ELLIPSOID, ball, (radius,) * 3, colour, texture, skin=skin)
 
     def _add(
         self,
@@ -138,10 +138,11 @@ class Builder:
         centre: ArrayLike,
         semi_axes: ArrayLike,
         colour: ArrayLike,
-        clip: tuple[float, ...],
         texture: tuple[float, ...],
-        skin: bool,
-        rotation: FloatArray | None,
+        *,
+        skin: bool = False,
+        clip: tuple[float, ...] = _NO_CLIP,
+        rotation: FloatArray | None = None,
     ) -> None:
         axes = np.diag(np.asarray(semi_axes, dtype=float))
         if rotation is not None:
