@@ -38,8 +38,8 @@ from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import Clock, FrameSource
-from perception.observe.pipeline import Models, PersonObservation, by_frame, observe_frame
-from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
+from perception.observation.pipeline import Models, PersonObservation, by_frame, observe_frame
+from perception.observation.tables import METHODS, associated, estimated, to_detections, to_tracks
 
 
 @dataclass(frozen=True, eq=False)
