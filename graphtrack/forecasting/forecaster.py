@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.baselines.kalman import AXIS
 from graphtrack.errors import InputError
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, MotionFilters, standing
 from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemory, kernel_means
@@ -235,7 +236,7 @@ class Forecaster(Saved):
         self._position, self._head = np.zeros(0, complex), np.zeros(0, complex)
         # Cached predictions of each slot, and their time.
         self._moved, self._looked = np.zeros(0), np.zeros(0)
-        self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
+        self._now, self._variance = np.zeros((0, 2), complex), np.zeros(0, AXIS)
         self._nearby = np.zeros((0, 4, len(LAGS)), complex)
 
     def update(
@@ -435,7 +436,8 @@ class Forecaster(Saved):
         spread[t - self._first[at] < JUDGED - TIME_TOLERANCE] = np.nan
         self._paths.add(t, self._number[at], position, velocity, deviation, spread)
 
-    def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, NDArray[Any]]:
+        """Return positions, velocities and their variances (n,) of `AXIS`, now."""
         if (self._moved[at] != self.t).any():
             here = np.flatnonzero((self._count >= 2) & (self._last == self.t))
             old = np.union1d(here, at)
@@ -473,7 +475,8 @@ class Forecaster(Saved):
         about = nearby.square - 2.0 * (shift.conj() * nearby.deviation).real + np.abs(shift) ** 2
         interpolate, growth = between_lags(ahead)
         correction = (shift @ interpolate.T) * growth
-        estimate = variance[:, :1] + 2.0 * ahead * variance[:, 1:2] + ahead**2 * variance[:, 2:]
+        own, cross, of_speed = (variance[name][:, None] for name in ("pp", "pv", "vv"))
+        estimate = own + 2.0 * ahead * cross + ahead**2 * of_speed
         return Expected(
             mean=position[:, None] + straight + correction,
             direction=direction,
