@@ -19,6 +19,9 @@ PLAIN, SPECKLED, STRIPED, CHECKED = 0, 1, 2, 3
 SKIN, OTHER = 1, 0
 """Materials: skin or other, as needed by labels."""
 
+TEXTURE = np.dtype([("kind", np.int64), ("contrast", float), ("periods", float)])
+"""Kind of texture, contrast in 0…1, and periods over the solid."""
+
 _NO_CLIP = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -33,7 +36,7 @@ class Solids:
     axes : (m, 3, 3) the columns are the semi-axes (metres): a point of the solid is centre + axes · local
     clip : (m, 4) only the surface with n·local ≤ d exists, for rows (n, d)
     colour : (m, 3) albedo in 0…1, blue green red
-    texture : (m, 3) kind of texture, contrast in 0…1, and periods over the solid
+    texture : (m,) of `TEXTURE`
     material : (m,) SKIN or OTHER
     group : (m,) group of the solid; boxes and visibility are reported per group
     """
@@ -43,7 +46,7 @@ class Solids:
     axes: FloatArray
     clip: FloatArray
     colour: FloatArray
-    texture: FloatArray
+    texture: NDArray[np.void]
     material: NDArray[np.int64]
     group: NDArray[np.int64]
 
@@ -159,7 +162,7 @@ class Builder:
             np.array(axes, float).reshape(-1, 3, 3),
             np.array(clip, float).reshape(-1, 4),
             np.array(colour, float).reshape(-1, 3),
-            np.array(texture, float).reshape(-1, 3),
+            np.array(list(texture), TEXTURE),
             np.array(material, np.int64),
             np.full(len(kind), group, np.int64),
         )
