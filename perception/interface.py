@@ -8,7 +8,7 @@ from typing import Literal
 
 from graphtrack.tracks.track import TrackSet
 from perception.cli.follow import follow_target
-from perception.cli.observe import ModelOptions, observe_recording
+from perception.cli.observe import ModelOptions, ObserveJob
 from perception.cli.options import CameraOptions, Reports
 from perception.cli.report import report_folder
 from perception.cli.searching import NetworkOptions
@@ -67,7 +67,7 @@ def observe(
     InputError
         If an input cannot be used, options exclude each other, or nobody is observed.
     """
-    return observe_recording(
+    job = ObserveJob(
         Path(video),
         _path(output),
         _camera(homography, calibration, fps),
@@ -81,6 +81,7 @@ def observe(
         appearance=appearance,
         reports=Reports(),
     )
+    return job.run()
 
 
 def follow(

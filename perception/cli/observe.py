@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -145,27 +145,25 @@ def observe(
     appearance : Write appearance descriptors (appearance_0 ...), which distinguish people; on for boxes
         without identities, else off.
     """
-    if str(output) == "-":
-        for name, path in (("--write-boxes", write_boxes_to), ("--render", render)):
-            if path is not None:
-                raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
-        observe_stream(source, camera, network, model, boxes, boxes_first_frame, appearance=appearance)
-        return
+    job = ObserveJob(
+        source,
+        output,
+        camera,
+        network,
+        model,
+        boxes=boxes,
+        boxes_first_frame=boxes_first_frame,
+        write_boxes_to=write_boxes_to,
+        render=render,
+        causal=causal,
+        appearance=appearance,
+        reports=PRINTED,
+    )
     with input_warnings_as_notes():
-        observe_recording(
-            source,
-            output,
-            camera,
-            network,
-            model,
-            boxes=boxes,
-            boxes_first_frame=boxes_first_frame,
-            write_boxes_to=write_boxes_to,
-            render=render,
-            causal=causal,
-            appearance=appearance,
-            reports=PRINTED,
-        )
+        if job.is_streamed:
+            job.stream()
+        else:
+            job.run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,131 +173,86 @@ class _Opened:
     frames: FrameSource
     networks: OwnNetworks
     people: list[PersonBox] | None  # given boxes
+    identified: bool  # whether these have identities
     models: Models
     refused: dict[str, None]  # reasons; undecodable frames may be reported twice
 
-    @property
-    def identified(self) -> bool:
-        """Return True if the given boxes have identities."""
-        return self.people is not None and (not self.people or self.people[0].identified)
 
-    @classmethod
-    def of(
-        cls,
-        source: Path,
-        camera: CameraOptions,
-        network: NetworkOptions,
-        model: ModelOptions,
-        *,
-        boxes: Path | None,
-        boxes_first_frame: int | None,
-        appearance: bool | None,
-        reports: Reports,
-    ) -> _Opened:
+@dataclass(frozen=True, eq=False)
+class ObserveJob:
+    """A call of `observe`, from the shell or from Python; ``output`` None: no file is written."""
+
+    source: Path
+    output: Path | None
+    camera: CameraOptions
+    network: NetworkOptions
+    model: ModelOptions
+    _: KW_ONLY
+    boxes: Path | None
+    boxes_first_frame: int | None
+    write_boxes_to: Path | None
+    render: Path | None
+    causal: bool
+    appearance: bool | None
+    reports: Reports
+
+    @property
+    def is_streamed(self) -> bool:
+        """Return True if rows go to standard output."""
+        return str(self.output) == "-"
+
+    def _open(self) -> _Opened:
+        """Open the recording and what the options name; options that exclude each other are refused."""
+        from graphtrack.io.read_write import check_table_name
         from perception.images.frames import FrameSource
 
-        frames = FrameSource.open(source)
+        camera, network, model, boxes = self.camera, self.network, self.model, self.boxes
+        model.check(network.keypoints)
+        for name, path in (("--detector", network.detector), ("--write-boxes", self.write_boxes_to)):
+            if boxes is not None and path is not None:
+                raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
+        if model.adapt:
+            given_models = (*model.parts, model.camera_models, network.keypoints)
+            check_adapt(self.is_streamed, camera.homography or camera.calibration, given_models)
+        written = {"--write-boxes": self.write_boxes_to, "--render": self.render}
+        if self.is_streamed:
+            options.refuse(written, "with -o -", "a file as the output: rows are written frame by frame")
+        output = None if self.is_streamed else self.output
+        outputs: dict[str, Path | Sequence[Path] | None] = {
+            "--output": output,
+            "--write-boxes": self.write_boxes_to,
+        }
+        if output is not None:
+            outputs["the journals of --output"] = [*search_journals(output), *_output_paths(output)]
+        inputs = {"--boxes": boxes, **camera.files, **model.files, **network.files}
+        check_output_paths(outputs, self.render, self.source, inputs, table=output)
+        frames = FrameSource.open(self.source)
         refused: dict[str, None] = {}
         networks = network.load(frames)
-        given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault, reports)
-        identified = given is not None and (not given or given[0].identified)
-        with_appearance = not identified if appearance is None else appearance
+        people = read_given_boxes(boxes, frames, self.boxes_first_frame, refused.setdefault, self.reports)
+        identified = people is not None and (not people or people[0].identified)
+        if output is not None and not identified:
+            check_table_name(output)
+        with_appearance = not identified if self.appearance is None else self.appearance
         models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
-        return cls(frames, networks, given, models.seeing(camera.on_ground(), frames.size), refused)
+        models = models.seeing(camera.on_ground(), frames.size)
+        return _Opened(frames, networks, people, identified, models, refused)
 
+    def stream(self) -> None:
+        """Write the rows of each frame to standard output."""
+        from perception.observation.live import LiveObserver
 
-def _check(
-    camera: CameraOptions, network: NetworkOptions, model: ModelOptions, boxes: Path | None, *, streamed: bool
-) -> None:
-    """Refuse options that exclude each other."""
-    model.check(network.keypoints)
-    if boxes is not None and network.detector is not None:
-        raise InputError("--detector with --boxes", "one of them: given boxes are not detected")
-    if model.adapt:
-        given_models = (*model.parts, model.camera_models, network.keypoints)
-        check_adapt(streamed, camera.homography or camera.calibration, given_models)
+        opened = self._open()
+        clock = self.camera.clock(opened.frames)
+        observer = LiveObserver(opened.models, self.camera.on_ground(), clock, identified=opened.identified)
+        _stream(opened.frames, opened.people, observer, opened.refused, opened.networks)
 
-
-def observe_stream(
-    source: Path,
-    camera: CameraOptions,
-    network: NetworkOptions,
-    model: ModelOptions,
-    boxes: Path | None,
-    boxes_first_frame: int | None,
-    *,
-    appearance: bool | None,
-) -> None:
-    """Write the rows of a recording to standard output, frame by frame."""
-    from perception.observation.live import LiveObserver
-
-    _check(camera, network, model, boxes, streamed=True)
-    check_output_paths({}, None, source, {"--boxes": boxes, **camera.files, **model.files, **network.files})
-    opened = _Opened.of(
-        source,
-        camera,
-        network,
-        model,
-        boxes=boxes,
-        boxes_first_frame=boxes_first_frame,
-        appearance=appearance,
-        reports=PRINTED,
-    )
-    clock = camera.clock(opened.frames)
-    observer = LiveObserver(opened.models, camera.on_ground(), clock, identified=opened.identified)
-    _stream(opened.frames, opened.people, observer, opened.refused, opened.networks)
-
-
-def observe_recording(
-    source: Path,
-    output: Path | None,
-    camera: CameraOptions,
-    network: NetworkOptions,
-    model: ModelOptions,
-    *,
-    boxes: Path | None,
-    boxes_first_frame: int | None,
-    write_boxes_to: Path | None,
-    render: Path | None,
-    causal: bool,
-    appearance: bool | None,
-    reports: Reports,
-) -> Observations:
-    """Return the observations of a recording, and write them if a file is given; see `observe`."""
-    from graphtrack.io.read_write import check_table_name
-
-    if boxes is not None and write_boxes_to is not None:
-        raise InputError("--write-boxes with --boxes", "one of them: given boxes are not detected")
-    _check(camera, network, model, boxes, streamed=False)
-    outputs: dict[str, Path | Sequence[Path] | None] = {"--output": output, "--write-boxes": write_boxes_to}
-    if output is not None:
-        outputs["the journals of --output"] = [*search_journals(output), *_output_paths(output)]
-    inputs = {"--boxes": boxes, **camera.files, **model.files, **network.files}
-    check_output_paths(outputs, render, source, inputs, table=output)
-    opened = _Opened.of(
-        source,
-        camera,
-        network,
-        model,
-        boxes=boxes,
-        boxes_first_frame=boxes_first_frame,
-        appearance=appearance,
-        reports=reports,
-    )
-    if output is not None and not opened.identified:
-        check_table_name(output)
-    with TemporaryDirectory() as folder:
-        return _observe_file(
-            opened,
-            model,
-            camera,
-            output,
-            Path(folder) / "observations" if output is None else output,
-            causal=causal,
-            render=render,
-            write_boxes_to=write_boxes_to,
-            reports=reports,
-        )
+    def run(self) -> Observations:
+        """Return the observations, and write them to the output."""
+        opened = self._open()
+        with TemporaryDirectory() as folder:
+            place = Path(folder) / "observations" if self.output is None else self.output
+            return _observed(self, opened, place)
 
 
 def _output_paths(output: Path) -> list[Path]:
@@ -307,18 +260,7 @@ def _output_paths(output: Path) -> list[Path]:
     return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
 
 
-def _observe_file(
-    opened: _Opened,
-    chosen: ModelOptions,
-    options_of_camera: CameraOptions,
-    output: Path | None,
-    place: Path,
-    *,
-    causal: bool,
-    render: Path | None,
-    write_boxes_to: Path | None,
-    reports: Reports,
-) -> Observations:
+def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     """Detect and observe people, and write the table, if asked for; journals are kept next to ``place``."""
     from graphtrack.io.read_write import write, write_table
     from graphtrack.tracks.track import ReadSummary, to_columns
@@ -329,9 +271,10 @@ def _observe_file(
     from perception.observation.tables import Observations, to_detections, to_tracks
 
     frames, people, models, networks = opened.frames, opened.people, opened.models, opened.networks
-    identified, refused = opened.identified, opened.refused
+    identified, refused, reports = opened.identified, opened.refused, job.reports
+    output, render, causal, chosen = job.output, job.render, job.causal, job.model
     refuse, given = refused.setdefault, people is not None
-    camera, clock = options_of_camera.on_ground(), options_of_camera.clock(frames)
+    camera, clock = job.camera.on_ground(), job.camera.clock(frames)
     points_place, frames_place, models_place = _output_paths(place)
     one_size = render is not None and is_video(render)
     searched: frozenset[int] = frozenset()
@@ -349,8 +292,8 @@ def _observe_file(
             )
             searched |= frozenset(points)
         assert people is not None
-        if write_boxes_to is not None:
-            write_boxes(people, write_boxes_to, first=frames.first)
+        if job.write_boxes_to is not None:
+            write_boxes(people, job.write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
         if chosen.adapt and camera is not None:
             unfinished.enter_context(while_unfinished(models_place))
