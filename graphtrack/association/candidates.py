@@ -20,17 +20,17 @@ from graphtrack.association.likelihood import (
     Row,
     SceneRow,
     State,
-    begin,
-    born,
-    ending,
-    follow,
+    evidence_after,
+    evidence_as_new,
+    extend_track,
     head_worth,
     is_new,
     is_within,
-    missed,
+    log_end,
+    log_gap,
     reach,
-    run_on,
     spread_after,
+    start_track,
     state_after,
 )
 from graphtrack.association.matching import Edges
@@ -167,7 +167,7 @@ def near_detections(
             continue
         narrow = not is_new(state) and state.pv >= 0.0  # so that the variance grows with time
         least = spread_after(soon, state, group.least_variance, scene) if narrow else group.least_variance
-        bound = bounds[g] + missed(group.first_frame - frame - 1, scene) - math.log(2.0 * math.pi * least)
+        bound = bounds[g] + log_gap(group.first_frame - frame - 1, scene) - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
         # The variance is a convex function of time.
@@ -209,14 +209,14 @@ def most_shown(scene: SceneRow) -> float:
 
 @compiled
 def most_dense(earlier: Row, before: State, later: Row, skipped: FloatArray, scene: SceneRow) -> float:
-    """Bound of the log density of a later detection's position and of its gap; see `move`.
+    """Bound of the log density of a later detection's position and of its gap; see `kalman_step`.
 
-    ``skipped``: `missed`, of gaps of 0, 1 … frames
+    ``skipped``: `log_gap`, of gaps of 0, 1 … frames
     """
     dt = later.t - earlier.t
     off_x, off_y = later.x - before.x - dt * before.vx, later.y - before.y - dt * before.vy
     gap = later.frame - earlier.frame - 1
-    gone = skipped[gap] if gap < len(skipped) else missed(gap, scene)
+    gone = skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
@@ -233,11 +233,11 @@ def most_dense(earlier: Row, before: State, later: Row, skipped: FloatArray, sce
 
 @allocating
 def gaps_missed(scene: SceneRow) -> FloatArray:
-    """Return `missed` for gaps of 0, 1 … frames up to the longest."""
+    """Return `log_gap` for gaps of 0, 1 … frames up to the longest."""
     frames = int(min(scene.longest_gap / scene.frame_seconds, 200.0)) + 1
     skipped = np.empty(frames)
     for k in range(frames):
-        skipped[k] = missed(k, scene)
+        skipped[k] = log_gap(k, scene)
     return skipped
 
 
@@ -323,16 +323,16 @@ def gains_of_links(
         for j in near[:count]:
             m = columns[j]
             if math.isnan(value[j]):
-                value[j] = born(chains, m, scene, state[0])
+                value[j] = evidence_as_new(chains, m, scene, state[0])
             later = chains.rows[m]
             bound = more + most_offered(later, value[j], most, scene)
             if bound + most_dense(earlier, before, later, skipped, scene) <= least[j]:
                 continue
-            gain = more + follow(chains, before, k, m, scene, state[0])
+            gain = more + extend_track(chains, before, k, m, scene, state[0])
             bound = gain - scene.log_birth - later.birth - later.gain + min(0.0, value[j]) + most
             if later.following >= 0 and bound + worth_of_state(later, state[0], scene) <= least[j]:
                 continue
-            gain += run_on(chains, state[0], m, scene) - max(0.0, value[j])
+            gain += evidence_after(chains, state[0], m, scene) - max(0.0, value[j])
             if gain > least[j]:
                 edges = with_edge(edges, n, i, j, gain)
                 n += 1
@@ -367,7 +367,7 @@ def gains_of_detections(
     last, new, bounds = -np.inf, -np.inf, np.empty(1)
     for j in range(len(columns)):
         d = columns[j]
-        value, left = begin(chains.rows[d], scene, state[0]), ending(chains, d, scene)
+        value, left = start_track(chains.rows[d], scene, state[0]), log_end(chains, d, scene)
         alone[j] = max(0.0, value + left)
         last = max(last, chains.rows[d].gain + left - alone[j] - least[j])
         new = max(new, value - alone[j] - least[j])
@@ -380,10 +380,10 @@ def gains_of_detections(
             count = near_detections(chains, chains.state[k], one.t, one.frame, grid, bounds, scene, near)
         else:
             # As far from the tail as a new person may have walked.
-            without, later = born(chains, m, scene, state[0]), chains.rows[m]
+            without, later = evidence_as_new(chains, m, scene, state[0]), chains.rows[m]
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
-            bounds[0] += missed(later.frame - frame - 1, scene)
+            bounds[0] += log_gap(later.frame - frame - 1, scene)
             back[0].x, back[0].y, back[0].pp = later.x, later.y, later.variance
             back[0].pp += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
             count = near_detections(
@@ -392,25 +392,27 @@ def gains_of_detections(
         for j in near[:count]:
             d = columns[j]
             if k < 0:
-                gain = begin(chains.rows[d], scene, here[0])
+                gain = start_track(chains.rows[d], scene, here[0])
                 bound = gain - alone[j] + most_offered(chains.rows[m], without, most, scene)
                 bound += most_dense(chains.rows[d], here[0], chains.rows[m], skipped, scene)
             else:
                 bound = np.inf
                 if m < 0:
                     bound = head_worth(chains, k, scene) + most
-                    bound += chains.rows[d].gain + ending(chains, d, scene) - alone[j]
+                    bound += chains.rows[d].gain + log_end(chains, d, scene) - alone[j]
                     bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], skipped, scene)
                 if bound > least[j]:
-                    gain = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here[0])
+                    gain = chains.rows[k].total + extend_track(chains, chains.state[k], k, d, scene, here[0])
             if bound <= least[j]:
                 continue
             if m >= 0:
                 if not is_within(here[0], chains.rows[m].t - now, chains.rows[m], scene):
                     continue
-                gain += follow(chains, here[0], d, m, scene, state[0]) + run_on(chains, state[0], m, scene)
+                gain += extend_track(chains, here[0], d, m, scene, state[0]) + evidence_after(
+                    chains, state[0], m, scene
+                )
             else:
-                gain += ending(chains, d, scene)
+                gain += log_end(chains, d, scene)
             gain -= max(0.0, without) + alone[j]
             if gain > least[j]:
                 edges = with_edge(edges, n, i, j, gain)

@@ -225,7 +225,7 @@ def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: SceneRow) ->
 
 
 @compiled
-def see_angle(
+def angle_update(
     angle: float, prior_x: float, prior_y: float, noise: float, outliers: float
 ) -> tuple[float, float, float]:
     """Return the log ratio of an observed angle (rad, or NaN), and the vector that it adds to a direction.
@@ -253,7 +253,7 @@ def diffused(x: float, y: float, variance: float) -> tuple[float, float]:
 
 
 @compiled
-def see_facing(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
+def update_orientations(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
     """Update the state with body and head of a later detection; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
@@ -266,9 +266,11 @@ def see_facing(earlier: Row, before: State, later: Row, scene: SceneRow, state: 
         # At low speed the direction of travel is undefined.
         length = 1.0 / ((scene.heading_variance + state.vv / square) * math.sqrt(square))
         way_x, way_y = x + length * state.vx, y + length * state.vy
-    of_body, more_x, more_y = see_angle(later.body, way_x, way_y, scene.body_variance, scene.body_outliers)
+    of_body, more_x, more_y = angle_update(later.body, way_x, way_y, scene.body_variance, scene.body_outliers)
     state.body_x, state.body_y = x + more_x, y + more_y
-    of_head, more_x, more_y = see_angle(later.head, head_x, head_y, scene.head_variance, scene.head_outliers)
+    of_head, more_x, more_y = angle_update(
+        later.head, head_x, head_y, scene.head_variance, scene.head_outliers
+    )
     state.head_x, state.head_y = head_x + more_x, head_y + more_y
     steer(later.body, scene.body_variance + scene.heading_variance, scene.body_outliers, state)
     steer(later.head, scene.head_variance + scene.gaze_variance, scene.head_outliers, state)
@@ -308,7 +310,7 @@ SAME = 1e-7  # difference of states and of evidence below which links do not cha
 
 
 @compiled
-def missed(frames: int, scene: SceneRow) -> float:
+def log_gap(frames: int, scene: SceneRow) -> float:
     """Log probability of a number of frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
         return 0.0
@@ -318,13 +320,13 @@ def missed(frames: int, scene: SceneRow) -> float:
 
 
 @compiled
-def move(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
+def kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
     """Fill the state after a later detection; return the log density of its position.
 
     The position may have jumped, after which the velocity is unknown: both states are moment-matched.
     """
     if is_new(before):
-        return move_first(earlier, before, later, scene, state)
+        return first_kalman_step(earlier, before, later, scene, state)
     dt, q = later.t - earlier.t, scene.density
     p = before.pp + 2.0 * dt * before.pv + dt * dt * before.vv + q * dt**3 / 3.0
     pv = before.pv + dt * before.vv + 0.5 * q * dt * dt
@@ -360,8 +362,8 @@ def is_new(state: State) -> bool:
 
 
 @compiled
-def move_first(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
-    """`move` of a person who was detected once: the components of the velocity's prior are moment-matched."""
+def first_kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
+    """`kalman_step` of a person who was detected once, with the components of the velocity's prior."""
     dt, q = later.t - earlier.t, scene.density
     off_x, off_y = later.x - before.x, later.y - before.y
     total, x, y, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -395,26 +397,30 @@ def move_first(earlier: Row, before: State, later: Row, scene: SceneRow, state: 
 
 
 @compiled
-def begin(first: Row, scene: SceneRow, state: State) -> float:
+def start_track(first: Row, scene: SceneRow, state: State) -> float:
     """The state of a new person at the first detection; its evidence."""
     state.x, state.y = first.x, first.y
     state.vx = state.vy = state.pv = 0.0
     state.pp, state.vv = first.variance, scene.speed_variance
-    _, state.body_x, state.body_y = see_angle(first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers)
-    _, state.head_x, state.head_y = see_angle(first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers)
+    _, state.body_x, state.body_y = angle_update(
+        first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers
+    )
+    _, state.head_x, state.head_y = angle_update(
+        first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers
+    )
     return scene.log_birth + first.birth + first.gain
 
 
 @compiled
-def follow(chains: Chains, before: State, k: int, m: int, scene: SceneRow, state: State) -> float:
+def extend_track(chains: Chains, before: State, k: int, m: int, scene: SceneRow, state: State) -> float:
     """The state after detection m of a person whose state was ``before`` at detection k; its evidence.
 
     ``state`` may be ``before``.
     """
     earlier, later = chains.rows[k], chains.rows[m]
-    density = move(earlier, before, later, scene, state)
-    skipped = missed(later.frame - earlier.frame - 1, scene)
-    shown = see_facing(earlier, before, later, scene, state) + appearance_ratio(
+    density = kalman_step(earlier, before, later, scene, state)
+    skipped = log_gap(later.frame - earlier.frame - 1, scene)
+    shown = update_orientations(earlier, before, later, scene, state) + appearance_ratio(
         chains.appearance, k, m, scene
     )
     trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
@@ -457,7 +463,7 @@ def is_same(state: State, other: State) -> bool:
 
 
 @compiled
-def run_on(chains: Chains, state: State, k: int, scene: SceneRow) -> float:
+def evidence_after(chains: Chains, state: State, k: int, scene: SceneRow) -> float:
     """Evidence of the detections after k in its chain, given the state there, which is overwritten.
 
     Stored values are used from ``look_ahead`` detections on, or from where the state is that of the chain.
@@ -465,9 +471,9 @@ def run_on(chains: Chains, state: State, k: int, scene: SceneRow) -> float:
     total, count = 0.0, 0
     m = chains.rows[k].following
     while m >= 0 and count < scene.look_ahead and not is_same(state, chains.state[k]):
-        total += follow(chains, state, k, m, scene, state)
+        total += extend_track(chains, state, k, m, scene, state)
         k, m, count = m, chains.rows[m].following, count + 1
-    return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
+    return total + (chains.rows[m].rest if m >= 0 else log_end(chains, k, scene))
 
 
 @compiled
@@ -479,7 +485,7 @@ def remember_rest(chains: Chains, scene: SceneRow, move: int) -> None:
     for m in range(len(chains.rows) - 1, -1, -1):
         one = chains.rows[m]
         rest = one.evidence + (
-            chains.rows[one.following].rest if one.following >= 0 else ending(chains, m, scene)
+            chains.rows[one.following].rest if one.following >= 0 else log_end(chains, m, scene)
         )
         # The far part counts where the person may have left.
         if abs(rest - one.rest) > SAME and one.alone < max(one.rest - rest, 0.0) + SAME:
@@ -488,22 +494,22 @@ def remember_rest(chains: Chains, scene: SceneRow, move: int) -> None:
 
 
 @compiled
-def ending(chains: Chains, k: int, scene: SceneRow) -> float:
+def log_end(chains: Chains, k: int, scene: SceneRow) -> float:
     """Log probability that a track's last detection is k: death, or misses until the end."""
     left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
         return 0.0
-    return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
+    return max(min(scene.log_death + chains.rows[k].death, 0.0), log_gap(left, scene))
 
 
 @compiled
-def born(chains: Chains, k: int, scene: SceneRow, state: State) -> float:
+def evidence_as_new(chains: Chains, k: int, scene: SceneRow, state: State) -> float:
     """Evidence of the track from detection k on, as of a new person, over that of false detections.
 
     ``state`` is overwritten.
     """
-    value = begin(chains.rows[k], scene, state)
-    value += run_on(chains, state, k, scene)
+    value = start_track(chains.rows[k], scene, state)
+    value += evidence_after(chains, state, k, scene)
     chains.rows[k].alone = max(0.0, value)
     return value
 
@@ -516,9 +522,9 @@ def state_after(chains: Chains, k: int, scene: SceneRow, state: State) -> float:
     """
     m = chains.rows[k].following
     if m < 0:
-        return chains.rows[k].total + ending(chains, k, scene)
-    evidence = follow(chains, chains.state[k], k, m, scene, state)
-    return chains.rows[k].total + evidence + run_on(chains, state, m, scene)
+        return chains.rows[k].total + log_end(chains, k, scene)
+    evidence = extend_track(chains, chains.state[k], k, m, scene, state)
+    return chains.rows[k].total + evidence + evidence_after(chains, state, m, scene)
 
 
 @allocating
@@ -534,10 +540,10 @@ def refresh(chains: Chains, first: int, end: int, scene: SceneRow, move: int) ->
         worth = head_worth(chains, m, scene)
         k = one.preceding
         if k < 0:
-            one.evidence = begin(one, scene, state)
+            one.evidence = start_track(one, scene, state)
             one.total = one.evidence
         else:
-            one.evidence = follow(chains, chains.state[k], k, m, scene, state)
+            one.evidence = extend_track(chains, chains.state[k], k, m, scene, state)
             one.total = chains.rows[k].total + one.evidence
         if not (abs(head_worth(chains, m, scene) - worth) < SAME and is_same(state, before[0])):
             one.changed_before = move
@@ -547,7 +553,7 @@ def refresh(chains: Chains, first: int, end: int, scene: SceneRow, move: int) ->
 def head_worth(chains: Chains, k: int, scene: SceneRow) -> float:
     """Evidence of the track up to detection k over that of its ending there, or of false detections."""
     total = chains.rows[k].total
-    return total - max(0.0, total + ending(chains, k, scene))
+    return total - max(0.0, total + log_end(chains, k, scene))
 
 
 @compiled
@@ -568,11 +574,11 @@ def innovations(chains: Chains, scene: SceneRow) -> tuple[float, float, int]:
     for m in range(len(chains.rows)):
         k = chains.rows[m].preceding
         if k < 0:
-            begin(chains.rows[m], scene, chains.state[m])
+            start_track(chains.rows[m], scene, chains.state[m])
             continue
         here[0] = chains.state[k]
-        position_cost += move(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
-        angles += see_facing(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
+        position_cost += kalman_step(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
+        angles += update_orientations(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
         count += 1
     return position_cost, angles, count
 
@@ -586,7 +592,7 @@ def roots(chains: Chains, scene: SceneRow, root: IntArray, value: FloatArray) ->
         value[k] = -math.inf
     for k in range(len(root)):
         if chains.rows[k].following < 0:
-            value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
+            value[root[k]] = chains.rows[k].total + log_end(chains, k, scene)
 
 
 @compiled

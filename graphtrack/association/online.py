@@ -21,7 +21,7 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     count_up,
-    missed,
+    log_gap,
     scene_of,
     unlinked,
 )
@@ -297,7 +297,7 @@ class OnlineAssociation(Moves, Saved):
         """Return the probability (n,) that the people last detected at these have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
-        often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
+        often = np.exp([log_gap(k, self.packed) for k in range(longest + 1)])
         since = np.arange(longest)[:, None]
         seconds = self.step_seconds * np.minimum(since, frames - 1) + AHEAD
         goal = chains.position[last] + seconds[:, :, None] * chains.velocity[last]

@@ -104,7 +104,7 @@ class Beliefs(NamedTuple):
 
 
 @compiled
-def turn(angle: float) -> float:
+def wrapped(angle: float) -> float:
     """Wrap an angle to ±π."""
     return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
@@ -125,7 +125,7 @@ def half_angles(radius: float, distance: FloatArray) -> FloatArray:
 
 
 @compiled
-def see(own: Any, neighbours: Any, view: Any) -> None:
+def view_people(own: Any, neighbours: Any, view: Any) -> None:
     """Fill the view (n,) of other people (n,) of `PERSON` by one; those beyond `REACH` are absent."""
     for j in range(len(neighbours)):
         other, target = neighbours[j], view[j]
@@ -175,9 +175,9 @@ def _share_in_sight(target: Any, around: Any, wide: Any) -> float:
     covered, half = 0.0, target.half_angle
     for k in range(len(wide)):
         if wide[k].distance < target.distance:
-            apart = abs(turn(wide[k].bearing - target.bearing))
+            apart = abs(wrapped(wide[k].bearing - target.bearing))
             covered = max(covered, _covered(apart, wide[k].half_angle, half))
-    middle = turn(target.bearing)
+    middle = wrapped(target.bearing)
     for k in range(np.searchsorted(around.bearing, middle - half - _NARROW), len(around)):
         if around[k].bearing > middle + half + _NARROW:
             break
@@ -187,7 +187,7 @@ def _share_in_sight(target: Any, around: Any, wide: Any) -> float:
 
 
 @allocating
-def _in_the_way(view: Any) -> tuple[Any, Any]:
+def _occluders(view: Any) -> tuple[Any, Any]:
     """Return people in the form of `_share_in_sight`: those whose bearing is known within their width."""
     near = np.flatnonzero((view.blur < view.half_angle**2) & ~np.isnan(view.distance))
     near = near[np.argsort(view.bearing[near])]
@@ -206,7 +206,7 @@ def _in_the_way(view: Any) -> tuple[Any, Any]:
 
 
 @allocating
-def prior_of_gaze(view: Any, fellow: BoolArray, parameters: GazeParameters, prior: FloatArray) -> None:
+def gaze_prior(view: Any, fellow: BoolArray, parameters: GazeParameters, prior: FloatArray) -> None:
     """Fill prior probabilities of targets and `WAYS`, (targets + WAYS,), without a head observation.
 
     Without a target that is certain to be present, the probability of no target is greater.
@@ -217,7 +217,7 @@ def prior_of_gaze(view: Any, fellow: BoolArray, parameters: GazeParameters, prio
     fellow : (people,) True in the observer's group
     """
     people = len(fellow)
-    around, wide = _in_the_way(view[:people])
+    around, wide = _occluders(view[:people])
     total, surest = 0.0, 0.0
     for j in range(len(view)):
         prior[j] = 0.0
@@ -239,7 +239,7 @@ def prior_of_gaze(view: Any, fellow: BoolArray, parameters: GazeParameters, prio
 
 
 @compiled
-def spread_of(view: Any, look_std: float, spread: FloatArray) -> None:
+def head_variances(view: Any, look_std: float, spread: FloatArray) -> None:
     """Fill the variances (targets + WAYS,), rad², of heads about targets.
 
     The variance of gaze, and those of the interval that a target covers and of its predicted bearing. Gaze at
@@ -326,7 +326,7 @@ def update_belief(
             # Gaze in the direction of a target that appears may have been at this target.
             way = ways + math.floor(bearing[j] / _WAY + 0.5) % WAYS
             belief[j].probability = belief[way].probability * prior[j] / max(prior[way], 1e-12)
-            belief[j].mean = turn(belief[way].mean + bearing[way] - bearing[j])
+            belief[j].mean = wrapped(belief[way].mean + bearing[way] - bearing[j])
             belief[j].variance = belief[way].variance
     total = 0.0
     for j in range(len(prior)):
@@ -340,8 +340,8 @@ def update_belief(
         mean = memory * one.mean
         variance = memory**2 * one.variance + (1.0 - memory**2) * fresh
         if known and not math.isnan(head):
-            deviation = turn(head - bearing[j])
-            off = turn(deviation - mean)
+            deviation = wrapped(head - bearing[j])
+            off = wrapped(deviation - mean)
             held[j] *= _normal(off, variance + head_variance)
             drawn[j] *= _normal(deviation, fresh + head_variance)
             mean += variance / (variance + head_variance) * off
@@ -351,7 +351,7 @@ def update_belief(
         stayed = one.probability * held[j]
         value = stayed + drawn[j]
         share = stayed / value if value > 0.0 else 0.0
-        apart = turn(mean - fresh_mean)
+        apart = wrapped(mean - fresh_mean)
         one.probability = value
         one.mean = fresh_mean + share * apart
         one.variance = share * variance + (1.0 - share) * fresh + share * (1.0 - share) * apart**2
@@ -361,7 +361,7 @@ def update_belief(
 
 
 @allocating
-def look(
+def view_targets(
     own: Any,
     neighbours: Any,
     fellow: BoolArray,
@@ -379,11 +379,11 @@ def look(
     places : (places,) of `VIEW`
     """
     people, count = len(neighbours), len(view)
-    see(own, neighbours, view[:people])
+    view_people(own, neighbours, view[:people])
     view[people:] = places
     targets.bearing[:count], targets.bearing[count:] = view.bearing, _WAY * np.arange(WAYS)
-    spread_of(view, parameters.look_std, targets.spread)
-    prior_of_gaze(view, fellow, parameters, targets.prior)
+    head_variances(view, parameters.look_std, targets.spread)
+    gaze_prior(view, fellow, parameters, targets.prior)
     targets.likelihood[:] = 1.0
 
 
@@ -422,7 +422,7 @@ def gaze_over_time(
         elapsed += gap[f] if f > 0 else 0.0
         if not both and elapsed < SETTLING - TIME_TOLERANCE:
             before = since = math.inf
-        look(own[f], neighbours[f], fellow[f], places[f], parameters, view, targets)
+        view_targets(own[f], neighbours[f], fellow[f], places[f], parameters, view, targets)
         direction = variance = math.nan
         if not math.isnan(head.weights[f, 0]):
             share = new_share(since)
@@ -436,7 +436,7 @@ def gaze_over_time(
         update_belief(before, direction, variance, targets, parameters, belief, held[f], drawn[f])
         found[f] = belief.probability
     if both:
-        _look_back(held, drawn, found)
+        _smooth_backward(held, drawn, found)
     return with_nothing(found, count)
 
 
@@ -451,7 +451,7 @@ def with_nothing(found: FloatArray, count: int) -> FloatArray:
 
 
 @allocating
-def _look_back(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
+def _smooth_backward(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
     """Backward pass over the chain: turn filtered into smoothed probabilities."""
     n, count = found.shape
     back, smoothed = np.ones(count), np.empty(count)
@@ -511,7 +511,7 @@ def gaze_of_frame(
                 k += 1
         targets = Targets(bearing[:last], spread[:last], prior[:last], likelihood[:last])
         view = views[: nearby + count]
-        look(people[row], neighbours[:nearby], fellow[:nearby], places[i], parameters, view, targets)
+        view_targets(people[row], neighbours[:nearby], fellow[:nearby], places[i], parameters, view, targets)
         for k in range(last):
             belief[k].probability = belief[k].mean = belief[k].variance = 0.0
         p = observers.previous[i]
