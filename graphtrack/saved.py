@@ -117,8 +117,8 @@ def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:
 
 def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> NDArray[np.void]:
     """Invert `pack_records`."""
-    fields = {name: unpacked(values) for name, values in saved.items()}
-    records = np.zeros(len(next(iter(fields.values()))), kind)
+    fields = {name: unpacked(saved[name]) for name in kind.names or ()}
+    records = np.zeros(next(iter(fields.values())).shape, kind)
     for name, values in fields.items():
         records[name] = values
     return records
@@ -182,9 +182,7 @@ def unpack(saved: Any, kind: Any, like: Any = None) -> Any:
 
 
 def _array(saved: Any, like: Any) -> NDArray[Any]:
-    if isinstance(saved, dict):
-        return unpack_records(saved, like.dtype)
-    found = unpacked(saved)
+    found = unpack_records(saved, like.dtype) if isinstance(saved, dict) else unpacked(saved)
     if like is not None:
         sizes = zip(found.shape[1:], like.shape[1:], strict=True)
         if found.dtype.kind != like.dtype.kind or any(size not in (one, 0) for one, size in sizes):

@@ -19,17 +19,18 @@ from graphtrack.association.likelihood import (
     IntArray,
     Row,
     SceneRow,
-    begin,
-    born,
-    ending,
-    follow,
+    State,
+    evidence_after,
+    evidence_as_new,
+    extend_track,
     head_worth,
     is_new,
     is_within,
-    missed,
+    log_end,
+    log_gap,
     reach,
-    run_on,
     spread_after,
+    start_track,
     state_after,
 )
 from graphtrack.association.matching import Edges
@@ -48,13 +49,29 @@ _WORTH_OF_PRIOR = 5.0
 _SMALLEST_CELL = 0.5  # metres
 
 
+FRAME_GROUP = np.dtype(
+    [
+        ("earliest", float),  # seconds
+        ("latest", float),
+        ("greatest_variance", float),  # m²
+        ("least_variance", float),
+        ("x", float),  # corner of the grid, metres
+        ("y", float),
+        ("size", float),  # of a cell, metres
+        ("cells_x", np.int64),  # cells along each axis; 0: no detections
+        ("cells_y", np.int64),
+        ("first_cell", np.int64),
+        ("first_frame", np.int64),
+    ]
+)
+"""Detections of consecutive frames, and the grid that they lie in."""
+
+
 class Grid(NamedTuple):
     """Detections by groups of frames, and in each group by cell."""
 
-    # (groups, 7) earliest and latest time (s), greatest and least variance (m²), corner, size of a cell (m)
-    spans: FloatArray
-    # (groups, 4) cells along x and y, number of the first cell, and first frame
-    shape: IntArray
+    detections: IntArray  # (columns,)
+    groups: NDArray[np.void]  # of FRAME_GROUP
     start: IntArray  # (cells + 1,) of each cell in ``order``
     order: IntArray  # (n,) columns
 
@@ -62,47 +79,51 @@ class Grid(NamedTuple):
 @allocating
 def grid_of(chains: Chains, detections: IntArray, columns: IntArray) -> Grid:
     """Return the grid of some columns (n,) of detections that are in the order of time."""
-    n, groups, base = len(columns), 0, chains.rows[detections[0]].frame
+    n, count, base = len(columns), 0, chains.rows[detections[0]].frame
     group = np.empty(n, np.int64)
     for i in range(n):
         offset, g = chains.rows[detections[columns[i]]].frame - base, 0
         while offset > 0:
             offset, g = offset >> 1, g + 1
         group[i] = g
-        groups = max(groups, g + 1)
-    spans, shape = np.empty((groups, 7)), np.zeros((groups, 4), np.int64)
-    high, count = np.full((groups, 2), -np.inf), np.zeros(groups, np.int64)
-    spans[:, 1:3] = -np.inf
-    spans[:, 0], spans[:, 3:6] = np.inf, np.inf
+        count = max(count, g + 1)
+    groups, high, sizes = np.zeros(count, FRAME_GROUP), np.full((count, 2), -np.inf), np.zeros(count)
+    for g in range(count):
+        one = groups[g]
+        one.earliest = one.least_variance = one.x = one.y = np.inf
+        one.latest = one.greatest_variance = -np.inf
     for i in range(n):
-        one, g = chains.rows[detections[columns[i]]], group[i]
-        spans[g, 0], spans[g, 1] = min(spans[g, 0], one.t), max(spans[g, 1], one.t)
-        spans[g, 2], spans[g, 3] = max(spans[g, 2], one.variance), min(spans[g, 3], one.variance)
-        spans[g, 4], spans[g, 5] = min(spans[g, 4], one.x), min(spans[g, 5], one.y)
-        high[g, 0], high[g, 1] = max(high[g, 0], one.x), max(high[g, 1], one.y)
-        count[g] += 1
+        row, g = chains.rows[detections[columns[i]]], group[i]
+        one = groups[g]
+        one.earliest, one.latest = min(one.earliest, row.t), max(one.latest, row.t)
+        one.greatest_variance = max(one.greatest_variance, row.variance)
+        one.least_variance = min(one.least_variance, row.variance)
+        one.x, one.y = min(one.x, row.x), min(one.y, row.y)
+        high[g, 0], high[g, 1] = max(high[g, 0], row.x), max(high[g, 1], row.y)
+        sizes[g] += 1
     cells = 0
-    for g in range(groups):
-        shape[g, 2], shape[g, 3] = cells, base + (1 << g) // 2
-        if count[g]:
-            width, height = high[g, 0] - spans[g, 4], high[g, 1] - spans[g, 5]
+    for g in range(count):
+        one = groups[g]
+        one.first_cell, one.first_frame = cells, base + (1 << g) // 2
+        if sizes[g]:
+            width, height = high[g, 0] - one.x, high[g, 1] - one.y
             # Two detections a cell, and never many more cells than detections.
-            size = max(math.sqrt(2.0 * width * height / count[g]), max(width, height) / count[g])
-            spans[g, 6] = max(size, _SMALLEST_CELL)
-            shape[g, 0], shape[g, 1] = int(width / spans[g, 6]) + 1, int(height / spans[g, 6]) + 1
-            cells += shape[g, 0] * shape[g, 1]
+            size = max(math.sqrt(2.0 * width * height / sizes[g]), max(width, height) / sizes[g])
+            one.size = max(size, _SMALLEST_CELL)
+            one.cells_x, one.cells_y = int(width / one.size) + 1, int(height / one.size) + 1
+            cells += one.cells_x * one.cells_y
     cell, start = np.empty(n, np.int64), np.zeros(cells + 1, np.int64)
     for i in range(n):
-        one, g = chains.rows[detections[columns[i]]], group[i]
-        across = int((one.x - spans[g, 4]) / spans[g, 6])
-        cell[i] = shape[g, 2] + across * shape[g, 1] + int((one.y - spans[g, 5]) / spans[g, 6])
+        row, one = chains.rows[detections[columns[i]]], groups[group[i]]
+        across = int((row.x - one.x) / one.size)
+        cell[i] = one.first_cell + across * one.cells_y + int((row.y - one.y) / one.size)
         start[cell[i] + 1] += 1
     start = np.cumsum(start)
     order, filled = np.empty(n, np.int64), start[:-1].copy()
     for i in range(n):
         order[filled[cell[i]]] = columns[i]
         filled[cell[i]] += 1
-    return Grid(spans, shape, start, order)
+    return Grid(detections, groups, start, order)
 
 
 @allocating
@@ -123,50 +144,49 @@ def cells_along(low: float, high: float, corner: float, size: float, cells: int)
 @compiled
 def near_detections(
     chains: Chains,
-    state: FloatArray,
+    state: State,
     t: float,
     frame: int,
-    detections: IntArray,
     grid: Grid,
     bounds: FloatArray,
     scene: SceneRow,
     found: IntArray,
 ) -> int:
-    """Put into ``found`` the columns of detections within reach; return their number.
+    """Put into ``found`` the columns of a grid's detections within reach; return their number.
 
     Parameters
     ----------
     state, t, frame : of a person, at a time (s) and in a frame
-    detections, grid : the columns, and the grid of some of them
     bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
     count, longest = 0, scene.longest_gap + TIME_TOLERANCE
-    for g in range(len(grid.shape)):
-        spans, shape = grid.spans[g], grid.shape[g]
-        soon, latest = max(spans[0] - t, 0.0), min(spans[1] - t, longest)
-        if not shape[0] or latest <= 0.0 or soon > longest:
+    for g in range(len(grid.groups)):
+        group = grid.groups[g]
+        soon, latest = max(group.earliest - t, 0.0), min(group.latest - t, longest)
+        if not group.cells_x or latest <= 0.0 or soon > longest:
             continue
-        narrow = not is_new(state) and state[5] >= 0.0  # so that the variance grows with time
-        least = spread_after(soon, state, spans[3], scene) if narrow else spans[3]
-        bound = bounds[g] + missed(shape[3] - frame - 1, scene) - math.log(2.0 * math.pi * least)
+        narrow = not is_new(state) and state.pv >= 0.0  # so that the variance grows with time
+        least = spread_after(soon, state, group.least_variance, scene) if narrow else group.least_variance
+        bound = bounds[g] + log_gap(group.first_frame - frame - 1, scene) - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
         # The variance is a convex function of time.
-        far = max(reach(state, soon, spans[2], scene), reach(state, latest, spans[2], scene))
+        widest = group.greatest_variance
+        far = max(reach(state, soon, widest, scene), reach(state, latest, widest, scene))
         if not is_new(state):
             far *= min(math.sqrt(2.0 * bound) / GATE, 1.0)
-        more_x, more_y = state[2] * (latest - soon), state[3] * (latest - soon)
-        x, y = state[0] + state[2] * soon, state[1] + state[3] * soon
+        more_x, more_y = state.vx * (latest - soon), state.vy * (latest - soon)
+        x, y = state.x + state.vx * soon, state.y + state.vy * soon
         low_x, high_x = x + min(more_x, 0.0) - far, x + max(more_x, 0.0) + far
         low_y, high_y = y + min(more_y, 0.0) - far, y + max(more_y, 0.0) + far
-        first_x, end_x = cells_along(low_x, high_x, spans[4], spans[6], shape[0])
-        first_y, end_y = cells_along(low_y, high_y, spans[5], spans[6], shape[1])
+        first_x, end_x = cells_along(low_x, high_x, group.x, group.size, group.cells_x)
+        first_y, end_y = cells_along(low_y, high_y, group.y, group.size, group.cells_y)
         if first_y >= end_y:
             continue
         for across in range(first_x, end_x):
-            column = shape[2] + across * shape[1]
+            column = group.first_cell + across * group.cells_y
             for j in grid.order[grid.start[column + first_y] : grid.start[column + end_y]]:
-                other = chains.rows[detections[j]]
+                other = chains.rows[grid.detections[j]]
                 dt = other.t - t
                 if 0.0 < dt <= longest and is_within(state, dt, other, scene):
                     found[count] = j
@@ -188,22 +208,22 @@ def most_shown(scene: SceneRow) -> float:
 
 
 @compiled
-def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray, scene: SceneRow) -> float:
-    """Bound of the log density of a later detection's position and of its gap; see `move`.
+def most_dense(earlier: Row, before: State, later: Row, skipped: FloatArray, scene: SceneRow) -> float:
+    """Bound of the log density of a later detection's position and of its gap; see `kalman_step`.
 
-    ``skipped``: `missed`, of gaps of 0, 1 … frames
+    ``skipped``: `log_gap`, of gaps of 0, 1 … frames
     """
     dt = later.t - earlier.t
-    off_x, off_y = later.x - before[0] - dt * before[2], later.y - before[1] - dt * before[3]
+    off_x, off_y = later.x - before.x - dt * before.vx, later.y - before.y - dt * before.vy
     gap = later.frame - earlier.frame - 1
-    gone = skipped[gap] if gap < len(skipped) else missed(gap, scene)
+    gone = skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
-            spread = before[4] + dt * dt * component[3] + scene.density * dt**3 / 3.0 + later.variance
-            ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
+            spread = before.pp + dt * dt * component.variance + scene.density * dt**3 / 3.0 + later.variance
+            ahead_x, ahead_y = off_x - dt * component.vx, off_y - dt * component.vy
             square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
-            total += component[0] * math.exp(-square / spread) / spread
+            total += component.weight * math.exp(-square / spread) / spread
         return math.log(total / (2.0 * math.pi)) + gone
     spread = spread_after(dt, before, later.variance, scene)
     wide = spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0)
@@ -213,19 +233,19 @@ def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray
 
 @allocating
 def gaps_missed(scene: SceneRow) -> FloatArray:
-    """Return `missed` for gaps of 0, 1 … frames up to the longest."""
+    """Return `log_gap` for gaps of 0, 1 … frames up to the longest."""
     frames = int(min(scene.longest_gap / scene.frame_seconds, 200.0)) + 1
     skipped = np.empty(frames)
     for k in range(frames):
-        skipped[k] = missed(k, scene)
+        skipped[k] = log_gap(k, scene)
     return skipped
 
 
 @compiled
-def worth_of_state(tail: Row, state: FloatArray, scene: SceneRow) -> float:
+def worth_of_state(tail: Row, state: State, scene: SceneRow) -> float:
     """Bound of a tail state's contribution to the log likelihood of a new person's detections."""
-    determinant = max(state[4] * state[6] - state[5] * state[5], 1e-12)
-    speed = state[2] * state[2] + state[3] * state[3]
+    determinant = max(state.pp * state.vv - state.pv * state.pv, 1e-12)
+    speed = state.vx * state.vx + state.vy * state.vy
     gained = math.log(tail.variance * scene.speed_variance / determinant)
     return max(gained, 0.0) + speed / scene.speed_variance + _WORTH_OF_PRIOR
 
@@ -241,15 +261,16 @@ def most_offered(tail: Row, value: float, most: float, scene: SceneRow) -> float
 
 
 @allocating
-def most_offered_each(
-    chains: Chains, tails: IntArray, grid: Grid, least: FloatArray, scene: SceneRow
-) -> FloatArray:
+def most_offered_each(chains: Chains, grid: Grid, least: FloatArray, scene: SceneRow) -> FloatArray:
     """Return the greatest `most_offered` over the least gain (``least``) in each group of a grid."""
-    most, offered = most_shown(scene), np.full(len(grid.shape), -np.inf)
-    for g in range(len(grid.shape)):
-        first = grid.shape[g, 2]
-        for j in grid.order[grid.start[first] : grid.start[first + grid.shape[g, 0] * grid.shape[g, 1]]]:
-            offered[g] = max(offered[g], most_offered(chains.rows[tails[j]], 0.0, most, scene) - least[j])
+    most, offered = most_shown(scene), np.full(len(grid.groups), -np.inf)
+    for g in range(len(grid.groups)):
+        one = grid.groups[g]
+        for j in grid.order[
+            grid.start[one.first_cell] : grid.start[one.first_cell + one.cells_x * one.cells_y]
+        ]:
+            worth = most_offered(chains.rows[grid.detections[j]], 0.0, most, scene)
+            offered[g] = max(offered[g], worth - least[j])
     return offered
 
 
@@ -287,31 +308,31 @@ def gains_of_links(
     least : (columns,) gains that matter
     """
     edges, n = (np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)), 0
-    state, near = np.empty(STATE), np.empty(len(columns), np.int64)
+    state, near = np.empty(1, STATE), np.empty(len(columns), np.int64)
     value, most, skipped = np.full(len(columns), np.nan), most_shown(scene), gaps_missed(scene)
     every, new = grids_of(chains, columns, fresh[1])
-    offered_every = most_offered_each(chains, columns, every, least, scene)
-    offered_new = most_offered_each(chains, columns, new, least, scene)
+    offered_every = most_offered_each(chains, every, least, scene)
+    offered_new = most_offered_each(chains, new, least, scene)
     for i in rows:
         k = heads[i]
         earlier, before = chains.rows[k], chains.state[k]
         more = head_worth(chains, k, scene)
         grid, offered = (every, offered_every) if fresh[0][i] else (new, offered_new)
         bounds = offered + more
-        count = near_detections(chains, before, earlier.t, earlier.frame, columns, grid, bounds, scene, near)
+        count = near_detections(chains, before, earlier.t, earlier.frame, grid, bounds, scene, near)
         for j in near[:count]:
             m = columns[j]
             if math.isnan(value[j]):
-                value[j] = born(chains, m, scene, state)
+                value[j] = evidence_as_new(chains, m, scene, state[0])
             later = chains.rows[m]
             bound = more + most_offered(later, value[j], most, scene)
             if bound + most_dense(earlier, before, later, skipped, scene) <= least[j]:
                 continue
-            gain = more + follow(chains, before, k, m, scene, state)
+            gain = more + extend_track(chains, before, k, m, scene, state[0])
             bound = gain - scene.log_birth - later.birth - later.gain + min(0.0, value[j]) + most
-            if later.following >= 0 and bound + worth_of_state(later, state, scene) <= least[j]:
+            if later.following >= 0 and bound + worth_of_state(later, state[0], scene) <= least[j]:
                 continue
-            gain += run_on(chains, state, m, scene) - max(0.0, value[j])
+            gain += evidence_after(chains, state[0], m, scene) - max(0.0, value[j])
             if gain > least[j]:
                 edges = with_edge(edges, n, i, j, gain)
                 n += 1
@@ -338,7 +359,7 @@ def gains_of_detections(
     fresh, rows, least : as of `gains_of_links`
     """
     edges, n = (np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)), 0
-    state, here, back = np.empty(STATE), np.empty(STATE), np.zeros(STATE)
+    state, here, back = np.empty(1, STATE), np.empty(1, STATE), np.zeros(1, STATE)
     alone, near = np.empty(len(columns)), np.empty(len(columns), np.int64)
     most, skipped = most_shown(scene), gaps_missed(scene)
     now, frame = chains.rows[columns[0]].t, chains.rows[columns[0]].frame
@@ -346,7 +367,7 @@ def gains_of_detections(
     last, new, bounds = -np.inf, -np.inf, np.empty(1)
     for j in range(len(columns)):
         d = columns[j]
-        value, left = begin(chains.rows[d], scene, state), ending(chains, d, scene)
+        value, left = start_track(chains.rows[d], scene, state[0]), log_end(chains, d, scene)
         alone[j] = max(0.0, value + left)
         last = max(last, chains.rows[d].gain + left - alone[j] - least[j])
         new = max(new, value - alone[j] - least[j])
@@ -354,44 +375,44 @@ def gains_of_detections(
         k, m = heads[i], tails[i]
         grid = every if fresh[0][i] else new_columns
         if k >= 0:
-            without, one = state_after(chains, k, scene, state), chains.rows[k]
+            without, one = state_after(chains, k, scene, state[0]), chains.rows[k]
             bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
-            count = near_detections(
-                chains, chains.state[k], one.t, one.frame, columns, grid, bounds, scene, near
-            )
+            count = near_detections(chains, chains.state[k], one.t, one.frame, grid, bounds, scene, near)
         else:
             # As far from the tail as a new person may have walked.
-            without, later = born(chains, m, scene, state), chains.rows[m]
+            without, later = evidence_as_new(chains, m, scene, state[0]), chains.rows[m]
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
-            bounds[0] += missed(later.frame - frame - 1, scene)
-            back[0], back[1], back[4] = later.x, later.y, later.variance
-            back[4] += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
+            bounds[0] += log_gap(later.frame - frame - 1, scene)
+            back[0].x, back[0].y, back[0].pp = later.x, later.y, later.variance
+            back[0].pp += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
             count = near_detections(
-                chains, back, math.nextafter(now, -math.inf), frame - 1, columns, grid, bounds, scene, near
+                chains, back[0], math.nextafter(now, -math.inf), frame - 1, grid, bounds, scene, near
             )
         for j in near[:count]:
             d = columns[j]
             if k < 0:
-                gain = begin(chains.rows[d], scene, here)
+                gain = start_track(chains.rows[d], scene, here[0])
                 bound = gain - alone[j] + most_offered(chains.rows[m], without, most, scene)
-                bound += most_dense(chains.rows[d], here, chains.rows[m], skipped, scene)
+                bound += most_dense(chains.rows[d], here[0], chains.rows[m], skipped, scene)
             else:
                 bound = np.inf
                 if m < 0:
                     bound = head_worth(chains, k, scene) + most
-                    bound += chains.rows[d].gain + ending(chains, d, scene) - alone[j]
+                    bound += chains.rows[d].gain + log_end(chains, d, scene) - alone[j]
                     bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], skipped, scene)
                 if bound > least[j]:
-                    gain = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here)
+                    gain = chains.rows[k].total + extend_track(chains, chains.state[k], k, d, scene, here[0])
             if bound <= least[j]:
                 continue
             if m >= 0:
-                if not is_within(here, chains.rows[m].t - now, chains.rows[m], scene):
+                if not is_within(here[0], chains.rows[m].t - now, chains.rows[m], scene):
                     continue
-                gain += follow(chains, here, d, m, scene, state) + run_on(chains, state, m, scene)
+                gain += extend_track(chains, here[0], d, m, scene, state[0]) + evidence_after(
+                    chains, state[0], m, scene
+                )
             else:
-                gain += ending(chains, d, scene)
+                gain += log_end(chains, d, scene)
             gain -= max(0.0, without) + alone[j]
             if gain > least[j]:
                 edges = with_edge(edges, n, i, j, gain)

@@ -24,13 +24,30 @@ from graphtrack.tracks.scene import NOTHING, Known, SceneParameters
 
 IntArray = NDArray[np.int64]
 
-STATE = 11
-"""Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
-and head as vectors (x, y) whose length is their concentration; 0: not known."""
-BODY, HEAD = 7, 9  # places of the last two
+STATE = np.dtype(
+    [
+        ("x", float),  # metres
+        ("y", float),
+        ("vx", float),  # m/s
+        ("vy", float),
+        ("pp", float),  # covariance of each axis: m², m²/s and m²/s²
+        ("pv", float),
+        ("vv", float),
+        ("body_x", float),  # direction of the body, a vector as long as its concentration; 0: not known
+        ("body_y", float),
+        ("head_x", float),
+        ("head_y", float),
+    ]
+)
+"""Filtered state of a person."""
 
+State: TypeAlias = Any
+"""One record of `STATE`, as kernels take it; it does not keep its array alive."""
 
-ANY_VELOCITY = np.array([[1.0, 0.0, 0.0, 1.0]])
+VELOCITY = np.dtype([("weight", float), ("vx", float), ("vy", float), ("variance", float)])
+"""Gaussian component of a prior of velocities: its share, its mean (m/s), and its variance (m²/s²)."""
+
+ANY_VELOCITY = np.array([(1.0, 0.0, 0.0, 1.0)], VELOCITY)
 """A prior of velocities of one component."""
 
 
@@ -61,10 +78,12 @@ class SceneRow(NamedTuple):
     appearance_slope: float = 0.0
     appearance_outliers: float = 1.0
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
-    velocities: FloatArray = ANY_VELOCITY  # prior, see `velocities_of`
+    velocities: NDArray[np.void] = ANY_VELOCITY  # components of the prior, of `VELOCITY`
 
 
-def scene_of(parameters: SceneParameters, seconds: float, velocities: FloatArray = ANY_VELOCITY) -> SceneRow:
+def scene_of(
+    parameters: SceneParameters, seconds: float, velocities: NDArray[np.void] = ANY_VELOCITY
+) -> SceneRow:
     """Return the parameters of a scene for kernels, for a frame interval in seconds."""
     values: Any = parameters.packed(seconds)
     return SceneRow(*values)._replace(velocities=velocities)
@@ -106,7 +125,7 @@ class Chains(NamedTuple):
     """n detections in the order of time, and their chaining into tracks; attributes are views."""
 
     rows: NDArray[np.void]  # (n,) of DETECTION
-    state: FloatArray  # (n, STATE) filtered there, see `STATE`
+    state: NDArray[np.void]  # (n,) of STATE, filtered there
     appearance: FloatArray  # (n, d) whitened descriptors, NaN where missing; (n, 0) without appearance
 
     @property
@@ -145,6 +164,11 @@ class Chains(NamedTuple):
         return np.column_stack([self.rows["x"], self.rows["y"]])
 
     @property
+    def velocity(self) -> FloatArray:
+        """(n, 2) m/s, filtered, a copy."""
+        return np.column_stack([self.state["vx"], self.state["vy"]])
+
+    @property
     def facing(self) -> FloatArray:
         """(n, 2) radians, observed body and head, a copy."""
         return np.column_stack([self.rows["body"], self.rows["head"]])
@@ -164,7 +188,7 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
     rows["body"], rows["head"] = facing.T
     for name in ("given", "following", "preceding"):
         rows[name] = -1
-    return Chains(rows, np.zeros((len(t), STATE)), np.empty((len(t), 0)))
+    return Chains(rows, np.zeros(len(t), STATE), np.empty((len(t), 0)))
 
 
 def chains_of(detections: Detections) -> Chains:
@@ -201,16 +225,16 @@ def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: SceneRow) ->
 
 
 @compiled
-def see_angle(
-    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
-) -> float:
-    """Update the direction at ``place`` of a state by an observed angle (rad, or NaN); return its log ratio.
+def angle_update(
+    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float
+) -> tuple[float, float, float]:
+    """Return the log ratio of an observed angle (rad, or NaN), and the vector that it adds to a direction.
 
     ``prior_x``, ``prior_y``: expected direction, as long as its concentration; ``outliers``: share of random
     angles, 1: angles are not used.
     """
     if outliers >= 1.0 or math.isnan(angle):
-        return 0.0
+        return 0.0, 0.0, 0.0
     kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
     if kappa > 1e-6:
         kappa = 1.0 / (1.0 / kappa + noise)
@@ -218,61 +242,67 @@ def see_angle(
         density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
         ratio = math.log(density + outliers)
         share = density / (density + outliers)
-    state[place] += share * math.cos(angle) / noise
-    state[place + 1] += share * math.sin(angle) / noise
-    return ratio
+    return ratio, share * math.cos(angle) / noise, share * math.sin(angle) / noise
 
 
 @compiled
-def see_facing(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
+def diffused(x: float, y: float, variance: float) -> tuple[float, float]:
+    """Return a direction, as long as its concentration, after a random turn of that variance, rad²."""
+    less = 1.0 / (1.0 + math.hypot(x, y) * variance)
+    return less * x, less * y
+
+
+@compiled
+def update_orientations(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
     """Update the state with body and head of a later detection; return their log likelihood ratio."""
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
     dt = later.t - earlier.t
-    for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
-        x, y = before[place], before[place + 1]
-        less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
-        state[place], state[place + 1] = less * x, less * y
-    x, y = state[BODY], state[BODY + 1]
-    square = state[2] * state[2] + state[3] * state[3]
+    x, y = diffused(before.body_x, before.body_y, scene.body_turn * dt)
+    head_x, head_y = diffused(before.head_x, before.head_y, scene.head_turn * dt)
+    square = state.vx * state.vx + state.vy * state.vy
+    way_x, way_y = x, y
     if square > 1e-4:
         # At low speed the direction of travel is undefined.
-        length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
-        x, y = x + length * state[2], y + length * state[3]
-    ratio = see_angle(later.body, x, y, scene.body_variance, scene.body_outliers, state, BODY)
-    x, y = state[HEAD], state[HEAD + 1]
-    ratio += see_angle(later.head, x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+        length = 1.0 / ((scene.heading_variance + state.vv / square) * math.sqrt(square))
+        way_x, way_y = x + length * state.vx, y + length * state.vy
+    of_body, more_x, more_y = angle_update(later.body, way_x, way_y, scene.body_variance, scene.body_outliers)
+    state.body_x, state.body_y = x + more_x, y + more_y
+    of_head, more_x, more_y = angle_update(
+        later.head, head_x, head_y, scene.head_variance, scene.head_outliers
+    )
+    state.head_x, state.head_y = head_x + more_x, head_y + more_y
     steer(later.body, scene.body_variance + scene.heading_variance, scene.body_outliers, state)
     steer(later.head, scene.head_variance + scene.gaze_variance, scene.head_outliers, state)
-    return ratio
+    return of_body + of_head
 
 
 @compiled
-def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> None:
+def steer(angle: float, variance: float, outliers: float, state: State) -> None:
     """Turn the velocity of a state towards an observed angle (rad, or NaN): an extended Kalman update.
 
     The observation is the velocity across, speed · sin(deviation). ``variance`` is of the angle about the
     direction of travel, ``outliers`` the share of random angles.
     """
-    speed = math.hypot(state[2], state[3])
+    speed = math.hypot(state.vx, state.vy)
     if outliers >= 1.0 or math.isnan(angle) or speed < 1e-2:
         return
-    across_x, across_y = -state[3] / speed, state[2] / speed
-    deviation = angle - math.atan2(state[3], state[2])
-    kappa = 1.0 / (variance + state[6] / (speed * speed))
+    across_x, across_y = -state.vy / speed, state.vx / speed
+    deviation = angle - math.atan2(state.vy, state.vx)
+    kappa = 1.0 / (variance + state.vv / (speed * speed))
     density = (1.0 - outliers) * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
     share = density / (density + outliers)
     gain = share * kappa / (speed * speed)
     off = speed * math.sin(deviation)
-    p_gain, v_gain = gain * state[5], gain * state[6]
-    state[0] += p_gain * off * across_x
-    state[1] += p_gain * off * across_y
-    state[2] += v_gain * off * across_x
-    state[3] += v_gain * off * across_y
+    p_gain, v_gain = gain * state.pv, gain * state.vv
+    state.x += p_gain * off * across_x
+    state.y += p_gain * off * across_y
+    state.vx += v_gain * off * across_x
+    state.vy += v_gain * off * across_y
     # The covariance is isotropic: the mean of both axes.
-    state[4] -= 0.5 * p_gain * state[5]
-    state[5] -= 0.5 * p_gain * state[6]
-    state[6] -= 0.5 * v_gain * state[6]
+    state.pp -= 0.5 * p_gain * state.pv
+    state.pv -= 0.5 * p_gain * state.vv
+    state.vv -= 0.5 * v_gain * state.vv
 
 
 GATE = 6.0  # standard deviations of the gate
@@ -280,7 +310,7 @@ SAME = 1e-7  # difference of states and of evidence below which links do not cha
 
 
 @compiled
-def missed(frames: int, scene: SceneRow) -> float:
+def log_gap(frames: int, scene: SceneRow) -> float:
     """Log probability of a number of frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
         return 0.0
@@ -290,18 +320,18 @@ def missed(frames: int, scene: SceneRow) -> float:
 
 
 @compiled
-def move(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
+def kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
     """Fill the state after a later detection; return the log density of its position.
 
     The position may have jumped, after which the velocity is unknown: both states are moment-matched.
     """
     if is_new(before):
-        return move_first(earlier, before, later, scene, state)
+        return first_kalman_step(earlier, before, later, scene, state)
     dt, q = later.t - earlier.t, scene.density
-    p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
-    pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
-    v = before[6] + q * dt
-    x, y = before[0] + dt * before[2], before[1] + dt * before[3]
+    p = before.pp + 2.0 * dt * before.pv + dt * dt * before.vv + q * dt**3 / 3.0
+    pv = before.pv + dt * before.vv + 0.5 * q * dt * dt
+    v = before.vv + q * dt
+    x, y = before.x + dt * before.vx, before.y + dt * before.vy
     spread = p + later.variance
     off_x, off_y = later.x - x, later.y - y
     square = 0.5 * (off_x * off_x + off_y * off_y)
@@ -317,38 +347,38 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: F
     apart, apart_turn = wide_gain - gain, wide_turn - turn
     between = share * (1.0 - share) * square
     gain, turn = gain + share * apart, turn + share * apart_turn
-    state[0], state[1] = x + gain * off_x, y + gain * off_y
-    state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
-    state[4] = p * (1.0 - gain) + share * scene.jump_variance * (1.0 - wide_gain) + between * apart * apart
-    state[5] = pv * (1.0 - gain) + between * apart * apart_turn
-    state[6] = v - turn * pv + share * scene.speed_variance + between * apart_turn * apart_turn
+    state.x, state.y = x + gain * off_x, y + gain * off_y
+    state.vx, state.vy = before.vx + turn * off_x, before.vy + turn * off_y
+    state.pp = p * (1.0 - gain) + share * scene.jump_variance * (1.0 - wide_gain) + between * apart * apart
+    state.pv = pv * (1.0 - gain) + between * apart * apart_turn
+    state.vv = v - turn * pv + share * scene.speed_variance + between * apart_turn * apart_turn
     return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
 
 
 @compiled
-def is_new(state: FloatArray) -> bool:
+def is_new(state: State) -> bool:
     """Return whether the state is that of a person who was detected once: the velocity is not known."""
-    return state[5] == 0.0
+    return state.pv == 0.0
 
 
 @compiled
-def move_first(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
-    """`move` of a person who was detected once: the components of the velocity's prior are moment-matched."""
+def first_kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
+    """`kalman_step` of a person who was detected once, with the components of the velocity's prior."""
     dt, q = later.t - earlier.t, scene.density
-    off_x, off_y = later.x - before[0], later.y - before[1]
+    off_x, off_y = later.x - before.x, later.y - before.y
     total, x, y, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0
     within_p, within_pv, within_v, between_p, between_pv, between_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for component in scene.velocities:
-        p = before[4] + dt * dt * component[3] + q * dt**3 / 3.0
-        pv, v = dt * component[3] + 0.5 * q * dt * dt, component[3] + q * dt
+        p = before.pp + dt * dt * component.variance + q * dt**3 / 3.0
+        pv, v = dt * component.variance + 0.5 * q * dt * dt, component.variance + q * dt
         spread = p + later.variance
-        ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
+        ahead_x, ahead_y = off_x - dt * component.vx, off_y - dt * component.vy
         square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
-        weight = component[0] * math.exp(-min(square / spread, 700.0)) / spread
+        weight = component.weight * math.exp(-min(square / spread, 700.0)) / spread
         gain, turn = p / spread, pv / spread
         # Relative to the detection, so that large coordinates lose no digits.
         here_x, here_y = (gain - 1.0) * ahead_x, (gain - 1.0) * ahead_y
-        there_x, there_y = component[1] + turn * ahead_x, component[2] + turn * ahead_y
+        there_x, there_y = component.vx + turn * ahead_x, component.vy + turn * ahead_y
         total += weight
         x, y = x + weight * here_x, y + weight * here_y
         vx, vy = vx + weight * there_x, vy + weight * there_y
@@ -359,35 +389,38 @@ def move_first(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, st
         between_pv += weight * 0.5 * (here_x * there_x + here_y * there_y)
         between_v += weight * 0.5 * (there_x * there_x + there_y * there_y)
     x, y, vx, vy = x / total, y / total, vx / total, vy / total
-    state[0], state[1], state[2], state[3] = later.x + x, later.y + y, vx, vy
-    state[4] = within_p / total + max(between_p / total - 0.5 * (x * x + y * y), 0.0)
-    state[5] = within_pv / total + between_pv / total - 0.5 * (x * vx + y * vy)
-    state[6] = within_v / total + max(between_v / total - 0.5 * (vx * vx + vy * vy), 0.0)
+    state.x, state.y, state.vx, state.vy = later.x + x, later.y + y, vx, vy
+    state.pp = within_p / total + max(between_p / total - 0.5 * (x * x + y * y), 0.0)
+    state.pv = within_pv / total + between_pv / total - 0.5 * (x * vx + y * vy)
+    state.vv = within_v / total + max(between_v / total - 0.5 * (vx * vx + vy * vy), 0.0)
     return math.log(total / (2.0 * math.pi))
 
 
 @compiled
-def begin(first: Row, scene: SceneRow, state: FloatArray) -> float:
+def start_track(first: Row, scene: SceneRow, state: State) -> float:
     """The state of a new person at the first detection; its evidence."""
-    state[0], state[1] = first.x, first.y
-    state[2] = state[3] = state[5] = 0.0
-    state[4], state[6] = first.variance, scene.speed_variance
-    state[BODY:] = 0.0
-    see_angle(first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
-    see_angle(first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
+    state.x, state.y = first.x, first.y
+    state.vx = state.vy = state.pv = 0.0
+    state.pp, state.vv = first.variance, scene.speed_variance
+    _, state.body_x, state.body_y = angle_update(
+        first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers
+    )
+    _, state.head_x, state.head_y = angle_update(
+        first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers
+    )
     return scene.log_birth + first.birth + first.gain
 
 
 @compiled
-def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: SceneRow, state: FloatArray) -> float:
+def extend_track(chains: Chains, before: State, k: int, m: int, scene: SceneRow, state: State) -> float:
     """The state after detection m of a person whose state was ``before`` at detection k; its evidence.
 
     ``state`` may be ``before``.
     """
     earlier, later = chains.rows[k], chains.rows[m]
-    density = move(earlier, before, later, scene, state)
-    skipped = missed(later.frame - earlier.frame - 1, scene)
-    shown = see_facing(earlier, before, later, scene, state) + appearance_ratio(
+    density = kalman_step(earlier, before, later, scene, state)
+    skipped = log_gap(later.frame - earlier.frame - 1, scene)
+    shown = update_orientations(earlier, before, later, scene, state) + appearance_ratio(
         chains.appearance, k, m, scene
     )
     trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
@@ -395,40 +428,42 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: SceneRow, 
 
 
 @compiled
-def spread_after(dt: float, state: FloatArray, variance: float, scene: SceneRow) -> float:
+def spread_after(dt: float, state: State, variance: float, scene: SceneRow) -> float:
     """Innovation variance (m²) on each axis, of a detection of that variance."""
     q = scene.density
-    return state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + q * dt**3 / 3.0 + variance
+    return state.pp + 2.0 * dt * state.pv + dt * dt * state.vv + q * dt**3 / 3.0 + variance
 
 
 @compiled
-def reach(state: FloatArray, dt: float, variance: float, scene: SceneRow) -> float:
+def reach(state: State, dt: float, variance: float, scene: SceneRow) -> float:
     """Gate radius in metres about the position predicted ``dt`` seconds ahead."""
     spread = spread_after(dt, state, variance, scene)
     return GATE * math.sqrt(spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0))
 
 
 @compiled
-def is_within(state: FloatArray, dt: float, later: Row, scene: SceneRow) -> bool:
+def is_within(state: State, dt: float, later: Row, scene: SceneRow) -> bool:
     """Return whether a detection ``dt`` seconds after a state is within the gate about its prediction."""
     spread = spread_after(dt, state, later.variance, scene)
     if scene.jump_probability > 0.0:
         spread += scene.jump_variance
-    off_x, off_y = later.x - state[0] - dt * state[2], later.y - state[1] - dt * state[3]
+    off_x, off_y = later.x - state.x - dt * state.vx, later.y - state.y - dt * state.vy
     return off_x * off_x + off_y * off_y < GATE * GATE * spread
 
 
 @compiled
-def is_same(state: FloatArray, other: FloatArray) -> bool:
+def is_same(state: State, other: State) -> bool:
     """Return whether two states lead to the same links."""
-    same = True
-    for i in range(STATE):
-        same = same and abs(state[i] - other[i]) < SAME
-    return same
+    off = max(
+        abs(state.x - other.x), abs(state.y - other.y), abs(state.vx - other.vx), abs(state.vy - other.vy)
+    )
+    off = max(off, abs(state.pp - other.pp), abs(state.pv - other.pv), abs(state.vv - other.vv))
+    off = max(off, abs(state.body_x - other.body_x), abs(state.body_y - other.body_y))
+    return max(off, abs(state.head_x - other.head_x), abs(state.head_y - other.head_y)) < SAME
 
 
 @compiled
-def run_on(chains: Chains, state: FloatArray, k: int, scene: SceneRow) -> float:
+def evidence_after(chains: Chains, state: State, k: int, scene: SceneRow) -> float:
     """Evidence of the detections after k in its chain, given the state there, which is overwritten.
 
     Stored values are used from ``look_ahead`` detections on, or from where the state is that of the chain.
@@ -436,9 +471,9 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: SceneRow) -> float:
     total, count = 0.0, 0
     m = chains.rows[k].following
     while m >= 0 and count < scene.look_ahead and not is_same(state, chains.state[k]):
-        total += follow(chains, state, k, m, scene, state)
+        total += extend_track(chains, state, k, m, scene, state)
         k, m, count = m, chains.rows[m].following, count + 1
-    return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
+    return total + (chains.rows[m].rest if m >= 0 else log_end(chains, k, scene))
 
 
 @compiled
@@ -450,7 +485,7 @@ def remember_rest(chains: Chains, scene: SceneRow, move: int) -> None:
     for m in range(len(chains.rows) - 1, -1, -1):
         one = chains.rows[m]
         rest = one.evidence + (
-            chains.rows[one.following].rest if one.following >= 0 else ending(chains, m, scene)
+            chains.rows[one.following].rest if one.following >= 0 else log_end(chains, m, scene)
         )
         # The far part counts where the person may have left.
         if abs(rest - one.rest) > SAME and one.alone < max(one.rest - rest, 0.0) + SAME:
@@ -459,37 +494,37 @@ def remember_rest(chains: Chains, scene: SceneRow, move: int) -> None:
 
 
 @compiled
-def ending(chains: Chains, k: int, scene: SceneRow) -> float:
+def log_end(chains: Chains, k: int, scene: SceneRow) -> float:
     """Log probability that a track's last detection is k: death, or misses until the end."""
     left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
         return 0.0
-    return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
+    return max(min(scene.log_death + chains.rows[k].death, 0.0), log_gap(left, scene))
 
 
 @compiled
-def born(chains: Chains, k: int, scene: SceneRow, state: FloatArray) -> float:
+def evidence_as_new(chains: Chains, k: int, scene: SceneRow, state: State) -> float:
     """Evidence of the track from detection k on, as of a new person, over that of false detections.
 
-    ``state`` (STATE,) is overwritten.
+    ``state`` is overwritten.
     """
-    value = begin(chains.rows[k], scene, state)
-    value += run_on(chains, state, k, scene)
+    value = start_track(chains.rows[k], scene, state)
+    value += evidence_after(chains, state, k, scene)
     chains.rows[k].alone = max(0.0, value)
     return value
 
 
 @compiled
-def state_after(chains: Chains, k: int, scene: SceneRow, state: FloatArray) -> float:
+def state_after(chains: Chains, k: int, scene: SceneRow, state: State) -> float:
     """Evidence of the whole track of detection k, whose link to the next detection may be new.
 
-    ``state`` (STATE,) is overwritten.
+    ``state`` is overwritten.
     """
     m = chains.rows[k].following
     if m < 0:
-        return chains.rows[k].total + ending(chains, k, scene)
-    evidence = follow(chains, chains.state[k], k, m, scene, state)
-    return chains.rows[k].total + evidence + run_on(chains, state, m, scene)
+        return chains.rows[k].total + log_end(chains, k, scene)
+    evidence = extend_track(chains, chains.state[k], k, m, scene, state)
+    return chains.rows[k].total + evidence + evidence_after(chains, state, m, scene)
 
 
 @allocating
@@ -498,19 +533,19 @@ def refresh(chains: Chains, first: int, end: int, scene: SceneRow, move: int) ->
 
     ``move``: number of the move that changes states, see `DETECTION`
     """
-    before = np.empty(STATE)
+    before = np.empty(1, STATE)
     for m in range(first, end):
         one, state = chains.rows[m], chains.state[m]
-        before[:] = state
+        before[0] = state
         worth = head_worth(chains, m, scene)
         k = one.preceding
         if k < 0:
-            one.evidence = begin(one, scene, state)
+            one.evidence = start_track(one, scene, state)
             one.total = one.evidence
         else:
-            one.evidence = follow(chains, chains.state[k], k, m, scene, state)
+            one.evidence = extend_track(chains, chains.state[k], k, m, scene, state)
             one.total = chains.rows[k].total + one.evidence
-        if not (abs(head_worth(chains, m, scene) - worth) < SAME and is_same(state, before)):
+        if not (abs(head_worth(chains, m, scene) - worth) < SAME and is_same(state, before[0])):
             one.changed_before = move
 
 
@@ -518,7 +553,7 @@ def refresh(chains: Chains, first: int, end: int, scene: SceneRow, move: int) ->
 def head_worth(chains: Chains, k: int, scene: SceneRow) -> float:
     """Evidence of the track up to detection k over that of its ending there, or of false detections."""
     total = chains.rows[k].total
-    return total - max(0.0, total + ending(chains, k, scene))
+    return total - max(0.0, total + log_end(chains, k, scene))
 
 
 @compiled
@@ -535,14 +570,15 @@ def change_after(chains: Chains, k: int, scene: SceneRow, move: int) -> None:
 def innovations(chains: Chains, scene: SceneRow) -> tuple[float, float, int]:
     """Filter all linked detections; return the log densities of places and of angles, and their number."""
     position_cost, angles, count = 0.0, 0.0, 0
+    here = np.empty(1, STATE)
     for m in range(len(chains.rows)):
         k = chains.rows[m].preceding
         if k < 0:
-            begin(chains.rows[m], scene, chains.state[m])
+            start_track(chains.rows[m], scene, chains.state[m])
             continue
-        here = chains.state[k].copy()
-        position_cost += move(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
-        angles += see_facing(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
+        here[0] = chains.state[k]
+        position_cost += kalman_step(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
+        angles += update_orientations(chains.rows[k], here[0], chains.rows[m], scene, chains.state[m])
         count += 1
     return position_cost, angles, count
 
@@ -556,7 +592,7 @@ def roots(chains: Chains, scene: SceneRow, root: IntArray, value: FloatArray) ->
         value[k] = -math.inf
     for k in range(len(root)):
         if chains.rows[k].following < 0:
-            value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
+            value[root[k]] = chains.rows[k].total + log_end(chains, k, scene)
 
 
 @compiled
@@ -595,7 +631,7 @@ def learn_orientation(
     scene: SceneParameters,
     seconds: float,
     known: Known = NOTHING,
-    velocities: FloatArray = ANY_VELOCITY,
+    velocities: NDArray[np.void] = ANY_VELOCITY,
 ) -> SceneParameters:
     """The parameters of angles of maximum likelihood for the tracks; the tracks are filtered again."""
 

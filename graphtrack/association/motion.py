@@ -10,12 +10,16 @@ those of other people lie anywhere.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.association.likelihood import IntArray
+from graphtrack.association.likelihood import VELOCITY, IntArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import ndimage, spatial
 
-WALKING = np.array([(0.3, 0.0, 0.15), (0.6, 1.34, 0.26), (0.1, 1.0, 1.0)])
+WALKING = np.array(
+    [(0.3, 0.0, 0.15), (0.6, 1.34, 0.26), (0.1, 1.0, 1.0)],
+    [("share", float), ("speed", float), ("std", float)],
+)
 """Share, speed and its 1-σ (m/s) of people who stand, who walk (Weidmann 1993) and of all others."""
 
 _SPACING = 0.5
@@ -49,8 +53,8 @@ def velocities_of(
     step_seconds: float,
     noise: float,
     rest_std: float,
-) -> FloatArray:
-    """The prior of velocities: (m, 4) weight, velocity (m/s) and variance (m²/s²) of each component.
+) -> NDArray[np.void]:
+    """The prior of velocities: components (m,) of `VELOCITY`.
 
     Parameters
     ----------
@@ -100,17 +104,20 @@ def _centres() -> FloatArray:
 
 def _of_walkers(centres: FloatArray) -> FloatArray:
     """Weights (m,) of a scene that nobody has watched; see `WALKING`."""
-    off = np.hypot(*centres.T)[:, None] - WALKING[:, 1]
-    each = np.exp(-0.5 * off**2 / (WALKING[:, 2] ** 2 + (0.5 * _SPACING) ** 2))
-    found: FloatArray = (each / each.sum(axis=0)) @ WALKING[:, 0]
+    off = np.hypot(*centres.T)[:, None] - WALKING["speed"]
+    each = np.exp(-0.5 * off**2 / (WALKING["std"] ** 2 + (0.5 * _SPACING) ** 2))
+    found: FloatArray = (each / each.sum(axis=0)) @ WALKING["share"]
     return found
 
 
-def _packed(weight: FloatArray, centres: FloatArray, rest_std: float) -> FloatArray:
+def _packed(weight: FloatArray, centres: FloatArray, rest_std: float) -> NDArray[np.void]:
     kept = weight > _LIGHTEST
     weight = (1.0 - _REST) * weight[kept] / weight[kept].sum()
-    rows = np.column_stack([weight, centres[kept], np.full(len(weight), (0.5 * _SPACING) ** 2)])
-    return np.ascontiguousarray(np.vstack([rows, [_REST, 0.0, 0.0, rest_std**2]]))
+    found = np.empty(len(weight) + 1, VELOCITY)
+    found["weight"][:-1], found["variance"] = weight, (0.5 * _SPACING) ** 2
+    found["vx"][:-1], found["vy"][:-1] = centres[kept].T
+    found[-1] = _REST, 0.0, 0.0, rest_std**2
+    return found
 
 
 def _shape(middle: FloatArray, centres: FloatArray, variance: float) -> FloatArray:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -124,12 +125,17 @@ def ends_at(chains: Chains, first: int, scene: SceneRow) -> tuple[IntArray, IntA
     return heads[:n].copy(), tails[:m].copy()
 
 
-@allocating
-def spanning(chains: Chains, first: int, end: int, scene: SceneRow) -> tuple[IntArray, IntArray, IntArray]:
-    """Return head and tail (−1: none) of each track around the frame from ``first`` to ``end``, and its key.
+class CutTracks(NamedTuple):
+    """Tracks that are cut: the last detection before the cut, the first after it, and a lasting name."""
 
-    The key is the head, or the tail behind all detections.
-    """
+    heads: IntArray  # (n,) −1: none
+    tails: IntArray  # (n,) −1: none
+    keys: IntArray  # (n,) the head, or the tail behind all detections
+
+
+@allocating
+def spanning(chains: Chains, first: int, end: int, scene: SceneRow) -> CutTracks:
+    """Return the tracks around the frame from ``first`` to ``end``."""
     begin, last = window(chains, first, scene)
     heads, tails, n = np.empty(last - begin, np.int64), np.empty(last - begin, np.int64), 0
     for k in range(begin, last):
@@ -145,7 +151,7 @@ def spanning(chains: Chains, first: int, end: int, scene: SceneRow) -> tuple[Int
             continue
         n += 1
     heads, tails = heads[:n].copy(), tails[:n].copy()
-    return heads, tails, np.where(heads >= 0, heads, tails + len(chains.rows))
+    return CutTracks(heads, tails, np.where(heads >= 0, heads, tails + len(chains.rows)))
 
 
 @compiled
@@ -351,12 +357,13 @@ class Moves:
         if not len(heads) or not len(tails) or not (fresh[0].any() or fresh[1].any()):
             return None
         recent = (chains.following[heads] >= 0) | self._is_recent(heads, first)
-        return self._candidates(gains_of_links, first, heads, none, heads, tails, fresh, recent)
+        return self._candidates(gains_of_links, first, CutTracks(heads, none, heads), tails, fresh, recent)
 
     def _frame(self, first: int, end: int) -> bool:
         """Match the detections of a frame again to the tracks that span it; return whether a link changed."""
         chains, since = self.chains, self._since(gains_of_detections, first)
-        heads, tails, keys = spanning(chains, first, end, self.packed)
+        tracks = spanning(chains, first, end, self.packed)
+        heads, tails, _ = tracks
         fresh = changed_since(chains, heads, tails, since), np.full(end - first, since < 0)
         if not len(heads) or not (fresh[0].any() or fresh[1].any()):
             return False
@@ -364,7 +371,7 @@ class Moves:
         bridge(chains, heads, tails, first, end)
         recent = (heads >= 0) & ((tails >= 0) | self._is_recent(heads, first))
         detections = np.arange(first, end)
-        edges = self._candidates(gains_of_detections, first, heads, tails, keys, detections, fresh, recent)
+        edges = self._candidates(gains_of_detections, first, tracks, detections, fresh, recent)
         partner = match(edges, (len(heads), len(detections)))
         return insert(chains, heads, tails, partner, first, before, self.packed, self._move)
 
@@ -380,9 +387,7 @@ class Moves:
         self,
         gains: Gains,
         first: int,
-        heads: IntArray,
-        tails: IntArray,
-        keys: IntArray,
+        tracks: CutTracks,
         columns: IntArray,
         fresh: tuple[Flags, Flags],
         recent: Flags,
@@ -393,34 +398,32 @@ class Moves:
         ----------
         gains : `gains_of_links` or `gains_of_detections`
         first : where the move is made
-        heads, tails : (rows,) of the tracks
-        keys : (rows,) names of the tracks, see `spanning`
+        tracks : of the rows
         fresh : (rows,) and (columns,) that have changed since the move was last made there
         recent : (rows,) whose candidates are computed first: candidates that they outbid are skipped
         """
         self._move += self.remembers
         visit, edges = self._visits.get((gains, first)), _NO_EDGES
         if visit is not None:
-            edges = carried(visit.edges, keys, columns, *fresh, self._place)
+            edges = carried(visit.edges, tracks.keys, columns, *fresh, self._place)
         least = np.full(len(columns), self.worthless)
         has_new = bool(fresh[1].any())
         for group in (recent, ~recent):
             rows = np.flatnonzero(group if has_new else group & fresh[0])
             if len(rows):
-                found = self._in_threads(gains, heads, tails, columns, fresh, rows, least)
+                found = self._in_threads(gains, tracks, columns, fresh, rows, least)
                 edges = joined([edges, *found])
             if group is recent:
                 raise_least(edges, recent, self.worthless, least)
         if self.remembers:
             i, j, gain = edges
-            self._visits[gains, first] = _Visit(self._move, (keys[i], columns[j], gain))
+            self._visits[gains, first] = _Visit(self._move, (tracks.keys[i], columns[j], gain))
         return edges
 
     def _in_threads(
         self,
         gains: Gains,
-        heads: IntArray,
-        tails: IntArray,
+        tracks: CutTracks,
         columns: IntArray,
         fresh: tuple[Flags, Flags],
         rows: IntArray,
@@ -429,7 +432,7 @@ class Moves:
         """Candidates of some rows, in their order whatever the number of threads."""
 
         def some(rows: IntArray) -> Edges:
-            return gains(self.chains, heads, tails, columns, fresh, rows, least, self.packed)
+            return gains(self.chains, tracks.heads, tracks.tails, columns, fresh, rows, least, self.packed)
 
         parts = min(processors(), len(rows) // _ROWS_OF_A_THREAD)
         if self._threads is None or parts < 2:

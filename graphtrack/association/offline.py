@@ -26,7 +26,7 @@ from graphtrack.association.likelihood import (
     count_up,
     learn_orientation,
     link_by,
-    missed,
+    log_gap,
     remember_rest,
     scene_of,
 )
@@ -96,7 +96,7 @@ class LearnedScene:
     """Parameters of a scene, learned from some of its detections."""
 
     scene: SceneParameters
-    velocities: FloatArray  # see `velocities_of`
+    velocities: NDArray[np.void]  # see `velocities_of`
     rates: GroundRates
     appearance: AppearanceEvidence
 
@@ -307,7 +307,7 @@ def _rehearse() -> None:
     detections = Detections(frame, np.asarray(0.1 * frame, float), position)
     associate_detections(detections)
     count_up(chains_of(detections), np.zeros(len(frame), np.int64))
-    missed(1, scene_of(SceneParameters(), 0.1))
+    log_gap(1, scene_of(SceneParameters(), 0.1))
 
 
 REHEARSAL = Rehearsal("association", _rehearse, 20.0)

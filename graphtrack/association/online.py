@@ -21,7 +21,7 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     count_up,
-    missed,
+    log_gap,
     scene_of,
     unlinked,
 )
@@ -297,10 +297,10 @@ class OnlineAssociation(Moves, Saved):
         """Return the probability (n,) that the people last detected at these have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
-        often = np.exp([missed(k, self.packed) for k in range(longest + 1)])
+        often = np.exp([log_gap(k, self.packed) for k in range(longest + 1)])
         since = np.arange(longest)[:, None]
         seconds = self.step_seconds * np.minimum(since, frames - 1) + AHEAD
-        goal = chains.position[last] + seconds[:, :, None] * chains.state[last, 2:4]
+        goal = chains.position[last] + seconds[:, :, None] * chains.velocity[last]
         rate = np.ones(seconds.shape)
         if self._ground_rates is not None:
             rate = self._ground_rates.leaving_for(goal.reshape(-1, 2)).reshape(rate.shape)

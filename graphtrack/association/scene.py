@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.likelihood import ANY_VELOCITY, Chains, IntArray, innovations, scene_of
+from graphtrack.association.likelihood import ANY_VELOCITY, VELOCITY, Chains, IntArray, innovations, scene_of
 from graphtrack.association.motion import noise_of, velocities_of
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import ndimage, optimize, spatial
@@ -163,10 +163,12 @@ def first_guess(detections: Detections) -> SceneParameters:
     )
 
 
-def first_velocities(detections: Detections, scene: SceneParameters, known: Known = NOTHING) -> FloatArray:
+def first_velocities(
+    detections: Detections, scene: SceneParameters, known: Known = NOTHING
+) -> NDArray[np.void]:
     """The prior of velocities, see `velocities_of`; a Gaussian where its spread is known."""
     if "speed_std" in known:
-        return np.array([[1.0, 0.0, 0.0, scene.speed_std**2]])
+        return np.array([(1.0, 0.0, 0.0, scene.speed_std**2)], VELOCITY)
     axes, _ = smallest_box(detections.position)
     noise, seconds = scene.position_std, detections.step_seconds
     return velocities_of(detections.step, detections.position, axes, seconds, noise, scene.speed_std)
@@ -179,7 +181,7 @@ def learn_scene(
     known_std: FloatArray,
     seconds: float,
     known: Known = NOTHING,
-    velocities: FloatArray = ANY_VELOCITY,
+    velocities: NDArray[np.void] = ANY_VELOCITY,
 ) -> SceneParameters:
     """Maximum a posteriori parameters given the tracks, with the previous parameters as a weak prior.
 
@@ -295,7 +297,7 @@ def _motion(
     seconds: float,
     known_std: FloatArray,
     known: Known,
-    velocities: FloatArray,
+    velocities: NDArray[np.void],
 ) -> dict[str, Any]:
     """Acceleration density and noise of maximum likelihood, given the links."""
     unknown = np.isnan(known_std)
@@ -405,7 +407,7 @@ def learn_ground_rates(chains: Chains, identity: IntArray) -> GroundRates:
 
 def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> GroundRates:
     axes, square = smallest_box(chains.position)
-    position, ahead = chains.position @ axes.T, AHEAD * chains.state[:, 2:4] @ axes.T
+    position, ahead = chains.position @ axes.T, AHEAD * chains.velocity @ axes.T
     goal = position + ahead
     # The same grid from either end of an axis.
     middle, half = 0.5 * (position.min(axis=0) + position.max(axis=0)), 0.5 * np.ptp(position, axis=0)

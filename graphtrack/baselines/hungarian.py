@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.baselines.kalman import constant_velocity, full_covariance, predict, update
+from graphtrack.baselines.kalman import AXIS, constant_velocity, full_covariance, predict, update
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections, with_those_between
@@ -86,7 +86,7 @@ class HungarianTracker:
         self.parameters = HungarianParameters() if parameters is None else parameters
         self._t = -np.inf
         self._next = 0
-        self._mean, self._spread = np.empty((0, 4)), np.empty((0, 3))  # as in `FilteredStates`
+        self._mean, self._spread = np.empty((0, 4)), np.empty(0, AXIS)
         # Of each track: identity (−1 before it is confirmed), frames since it began, hits, time of the last.
         self._identity, self._age = np.empty(0, np.int64), np.empty(0, np.int64)
         self._hits, self._last = np.empty(0, np.int64), np.empty(0)
@@ -148,7 +148,7 @@ class HungarianTracker:
     def _squared_distances(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m, n) of detections from where tracks are predicted."""
         off = position[None] - self._mean[tracks, None, :2]
-        return np.asarray(np.sum(off**2, axis=2) / (self._spread[tracks, :1] + variance))
+        return np.asarray(np.sum(off**2, axis=2) / (self._spread["pp"][tracks, None] + variance))
 
     def _confirm(self) -> None:
         new = np.flatnonzero((self._identity < 0) & (self._hits >= self.parameters.hits))
@@ -166,7 +166,8 @@ class HungarianTracker:
     def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
         """Start tracks from unassigned detections; return their identities, −1 unless one hit confirms."""
         n = len(position)
-        spread = np.column_stack([variance, np.zeros(n), np.full(n, self.parameters.speed_std**2)])
+        spread = np.zeros(n, AXIS)
+        spread["pp"], spread["vv"] = variance, self.parameters.speed_std**2
         self._mean = np.concatenate([self._mean, np.column_stack([position, np.zeros((n, 2))])])
         self._spread = np.concatenate([self._spread, spread])
         self._identity = np.append(self._identity, np.full(n, -1))

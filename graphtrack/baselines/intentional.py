@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.baselines.kalman import (
+    AxisNoise,
     FilteredStates,
     GaussianStates,
     Transition,
@@ -206,7 +207,7 @@ class _Intention:
         intended = (weight * distance)[:, None] * unit(np.where(np.isfinite(head), head, 0.0))
         q = parameters.process_variance
         keep = 1.0 - weight if parameters.variant == "consistent" else 1.0
-        return Transition(1.0 - weight, keep, intended, intended, (q, 0.0, q))
+        return Transition(1.0 - weight, keep, intended, intended, AxisNoise(q, 0.0, q))
 
     def _displacement(self, mean: FloatArray) -> FloatArray:
         """Mean displacement a step (m, 2); where only one position is known yet, the velocity."""
@@ -232,7 +233,7 @@ def intentional_transition(
         keep,
         (dt - reach)[:, None] * aim,
         (1.0 - keep)[:, None] * aim,
-        (density * place, density * cross, density * spread),
+        AxisNoise(density * place, density * cross, density * spread),
     )
 
 

@@ -1,13 +1,13 @@
 """Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part, over many tracks at once.
 
-Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance [[a, b], [b, c]] serves both
-axes.
+Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance (`AXIS`) serves both axes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,18 @@ def process_noise(dt: float, acceleration_density: float) -> FloatArray:
     return acceleration_density * np.kron(block, np.eye(2))
 
 
+AXIS = np.dtype([("pp", float), ("pv", float), ("vv", float)])
+"""Covariance [[pp, pv], [pv, vv]] of position and velocity on each axis, m², m²/s and m²/s²."""
+
+
+class AxisNoise(NamedTuple):
+    """Process noise of m tracks on each axis, each (m,) or a number; see `AXIS`."""
+
+    pp: FloatArray | float
+    pv: FloatArray | float
+    vv: FloatArray | float
+
+
 @dataclass(frozen=True, eq=False)
 class Transition:
     """One step of m tracks: p ← p + f·v + shift_p, v ← g·v + shift_v, with noise; each (m,) or a number.
@@ -40,14 +52,14 @@ class Transition:
     reach : f, what of the velocity goes into the position
     keep : g, what remains of the velocity
     position_shift, velocity_shift : (m, 2), the control input B·u
-    noise : variance of the position, covariance with the velocity, variance of the velocity, on each axis
+    noise : process noise
     """
 
     reach: FloatArray | float
     keep: FloatArray | float
     position_shift: FloatArray
     velocity_shift: FloatArray
-    noise: tuple[FloatArray | float, FloatArray | float, FloatArray | float]
+    noise: AxisNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,25 +69,25 @@ class FilteredStates:
     Attributes
     ----------
     mean, predicted_mean : (m, n, 4) of x, y, vx, vy, after and before each step's observation
-    spread, predicted_spread : (m, n, 3), the numbers a, b, c of the covariance [[a, b], [b, c]] ⊗ I₂
+    spread, predicted_spread : (m, n) of `AXIS`
     log_likelihood : (m, n) log density of the innovations; NaN where there was none
     """
 
     mean: FloatArray
-    spread: FloatArray
+    spread: NDArray[Any]
     predicted_mean: FloatArray
-    predicted_spread: FloatArray
+    predicted_spread: NDArray[Any]
     log_likelihood: FloatArray
 
 
-def full_covariance(spread: FloatArray) -> FloatArray:
-    """Covariances (..., 4, 4) of x, y, vx, vy from their three numbers (..., 3)."""
+def full_covariance(spread: NDArray[Any]) -> FloatArray:
+    """Covariances (..., 4, 4) of x, y, vx, vy from those (...) of each axis (`AXIS`)."""
     # NaN, not 0, also between the axes of a track that has not begun.
-    found = np.zeros((*spread.shape[:-1], 4, 4)) + 0.0 * spread[..., :1, None]
+    found = np.zeros((*spread.shape, 4, 4)) + 0.0 * spread["pp"][..., None, None]
     for axis in (0, 1):
-        found[..., axis, axis] = spread[..., 0]
-        found[..., axis, axis + 2] = found[..., axis + 2, axis] = spread[..., 1]
-        found[..., axis + 2, axis + 2] = spread[..., 2]
+        found[..., axis, axis] = spread["pp"]
+        found[..., axis, axis + 2] = found[..., axis + 2, axis] = spread["pv"]
+        found[..., axis + 2, axis + 2] = spread["vv"]
     return found
 
 
@@ -98,7 +110,7 @@ def filter_tracks(
         that have not begun have NaN there.
     """
     m, n = position.shape[:2]
-    mean, spread = np.full((m, n, 4), np.nan), np.full((m, n, 3), np.nan)
+    mean, spread = np.full((m, n, 4), np.nan), np.full((m, n), np.nan, AXIS)
     predicted_mean, predicted_spread = mean.copy(), spread.copy()
     log_likelihood = np.full((m, n), np.nan)
     has_position = np.asarray(np.isfinite(position).all(axis=2))
@@ -113,8 +125,8 @@ def filter_tracks(
         starts = has_position[:, k] & ~begun
         if starts.any():
             mean[starts, k, :2], mean[starts, k, 2:] = position[starts, k], 0.0
-            spread[starts, k, 0], spread[starts, k, 1] = variance[starts, k], 0.0
-            spread[starts, k, 2] = initial_velocity_variance
+            spread["pp"][starts, k], spread["pv"][starts, k] = variance[starts, k], 0.0
+            spread["vv"][starts, k] = initial_velocity_variance
             begun |= starts
     return FilteredStates(mean, spread, predicted_mean, predicted_spread, log_likelihood)
 
@@ -122,33 +134,33 @@ def filter_tracks(
 def constant_velocity(dt: float, acceleration_density: float) -> Transition:
     """Return a step of ``dt`` seconds of white-noise acceleration of density q in m²/s³."""
     q, still = acceleration_density, np.zeros(2)
-    return Transition(dt, 1.0, still, still, (q * dt**3 / 3.0, q * dt**2 / 2.0, q * dt))
+    return Transition(dt, 1.0, still, still, AxisNoise(q * dt**3 / 3.0, q * dt**2 / 2.0, q * dt))
 
 
-def predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[FloatArray, FloatArray]:
-    """Return means (m, 4) and spreads (m, 3) a step later."""
+def predict(mean: FloatArray, spread: NDArray[Any], step: Transition) -> tuple[FloatArray, NDArray[Any]]:
+    """Return means (m, 4) and spreads (m,) of `AXIS` a step later."""
     reach, keep = np.asarray(step.reach)[..., None], np.asarray(step.keep)[..., None]
     velocity = mean[:, 2:]
     ahead = np.concatenate(
         [mean[:, :2] + reach * velocity + step.position_shift, keep * velocity + step.velocity_shift], axis=1
     )
-    a, b, c = spread.T
-    f, g = step.reach, step.keep
-    cross = b + f * c
-    return ahead, np.stack(
-        [a + f * (b + cross) + step.noise[0], g * cross + step.noise[1], g * g * c + step.noise[2]], axis=1
-    )
+    f, g, noise = step.reach, step.keep, step.noise
+    cross = spread["pv"] + f * spread["vv"]
+    later = np.empty_like(spread)
+    later["pp"] = spread["pp"] + f * (spread["pv"] + cross) + noise.pp
+    later["pv"], later["vv"] = g * cross + noise.pv, g * g * spread["vv"] + noise.vv
+    return ahead, later
 
 
 def update(
     mean: FloatArray,
-    spread: FloatArray,
+    spread: NDArray[Any],
     observed: FloatArray,
     variance: FloatArray,
     has_position: NDArray[np.bool_],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, NDArray[Any], FloatArray]:
     """Return means, spreads and log-likelihoods (m,) after positions (m, 2), where there are any."""
-    a, b, c = spread.T
+    a, b, c = spread["pp"], spread["pv"], spread["vv"]
     innovation, total = observed - mean[:, :2], a + variance
     log_likelihood = -np.log(2.0 * np.pi * total) - 0.5 * np.sum(innovation**2, axis=1) / total
     gain = np.stack([a, a, b, b], axis=1) / total[:, None]
@@ -156,18 +168,13 @@ def update(
     # Joseph's form, written out: variances stay positive whatever the rounding.
     k, h = a / total, b / total
     rest = 1.0 - k
-    narrowed = np.stack(
-        [
-            rest * rest * a + k * k * variance,
-            rest * (b - h * a) + k * h * variance,
-            c - 2.0 * h * b + h * h * a + h * h * variance,
-        ],
-        axis=1,
-    )
-    here = has_position[:, None]
+    narrowed = np.empty_like(spread)
+    narrowed["pp"] = rest * rest * a + k * k * variance
+    narrowed["pv"] = rest * (b - h * a) + k * h * variance
+    narrowed["vv"] = c - 2.0 * h * b + h * h * a + h * h * variance
     return (
-        np.where(here, updated, mean),
-        np.where(here, narrowed, spread),
+        np.where(has_position[:, None], updated, mean),
+        np.where(has_position, narrowed, spread),
         np.where(has_position, log_likelihood, np.nan),
     )
 

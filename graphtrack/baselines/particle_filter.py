@@ -11,24 +11,26 @@ import itertools
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_kernels import (
-    BODY,
     FIRST,
-    HEAD,
-    POSITION,
     RECOVERED,
     VANISHED,
+    FilterOutput,
+    Start,
+    Used,
     backward,
     generator,
     run,
     summarise,
 )
 from graphtrack.baselines.particle_model import (
+    BODY,
+    HEAD,
+    VX,
     Job,
     PackedCamera,
     PackedPose,
@@ -60,30 +62,30 @@ def draw_states(
 
 def recover(
     job: Job, k: int, particles: FloatArray, initial_speed_std: float, rng: np.random.Generator
-) -> int:
+) -> Used:
     """Redraw in ``particles`` (n, 6) states out of reach at frame k; return the used observations."""
-    reach: dict[int, float] = {}
+    reach: dict[str, float] = {}
     found = np.zeros(len(particles))
     if job.position.kind[k]:
         add_position_log_density(particles, k, job.position, job.camera, found)
-        reach[POSITION] = float(found.max())
-    for part, place, pose, estimated in (
-        (BODY, 4, job.body, job.motion.has_body),
-        (HEAD, 5, job.head, job.motion.has_head),
+        reach["position"] = float(found.max())
+    for part, column, pose, estimated in (
+        ("body", BODY, job.body, job.motion.has_body),
+        ("head", HEAD, job.head, job.motion.has_head),
     ):
         if estimated and pose.components[k]:
             found[:] = 0.0
-            add_pose_log_density(particles, place, k, pose, job.camera, found)
+            add_pose_log_density(particles, column, k, pose, job.camera, found)
             reach[part] = float(found.max())
     # If each is within reach of some particle, but no particle reaches all, redraw all.
     lost = [part for part, best in reach.items() if best < VANISHED / 3.0] or list(reach)
-    if POSITION in lost:
-        particles[:, :4] = draw_states(job, k, len(particles), initial_speed_std, rng)
-    if BODY in lost:
-        particles[:, 4] = draw_orientations(job.body, job.camera, k, particles[:, :2], rng)
-    if HEAD in lost:
-        particles[:, 5] = draw_orientations(job.head, job.camera, k, particles[:, :2], rng)
-    return sum(lost)
+    if "position" in lost:
+        particles[:, :BODY] = draw_states(job, k, len(particles), initial_speed_std, rng)
+    if "body" in lost:
+        particles[:, BODY] = draw_orientations(job.body, job.camera, k, particles[:, :VX], rng)
+    if "head" in lost:
+        particles[:, HEAD] = draw_orientations(job.head, job.camera, k, particles[:, :VX], rng)
+    return Used(*(name in lost for name in Used._fields))
 
 
 def draw_orientations(
@@ -161,18 +163,13 @@ class ParticleEstimate:
     recovered: tuple[int, ...]
 
 
-@dataclass(eq=False)
-class _FilterOutput:
-    """A filter's output as it is written, with its particles if they are kept."""
+@dataclass(frozen=True, eq=False)
+class _Filtered:
+    """A track's run of the filter, from its first position on."""
 
     job: Job
     start: int
-    mean: FloatArray
-    covariance: FloatArray
-    log_evidence: FloatArray
-    effective_sample_size: FloatArray
-    history: FloatArray
-    history_log_weights: FloatArray
+    output: FilterOutput
     recovered: list[int]
 
 
@@ -198,7 +195,7 @@ def particle_filter(
     model, options = Model.named(model), ParticleOptions() if options is None else options
     make_ready("the particle filter", _REHEARSAL)
     found = _filter(track, model, camera, options, generator(seed), keep=False)
-    return _estimate(track, model, found, found.mean, found.covariance)
+    return _estimate(track, model, found, found.output.mean, found.output.covariance)
 
 
 def particle_smoother(
@@ -231,20 +228,18 @@ def _rehearse() -> None:
 _REHEARSAL = Rehearsal("particles", _rehearse, 10.0)
 
 
-def _backwards(found: _FilterOutput, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _backwards(found: _Filtered, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Means (n, 6) and covariances (n, 6, 6) of paths that are drawn backwards."""
-    n = len(found.mean)
+    output, motion, n = found.output, found.job.motion, len(found.output.mean)
     paths = np.empty((n, count, 6))
     # A step into a frame of recovery has no likely origin; there each part is smoothed by itself.
     edges = [found.start, *found.recovered, n]
     for first, last in itertools.pairwise(edges):
-        backward(
-            rng, first, found.history[:last], found.history_log_weights[:last], found.job.motion, paths[:last]
-        )
+        backward(rng, first, output.history[:last], output.history_log_weights[:last], motion, paths[:last])
     mean, covariance = np.full((n, 6), np.nan), np.full((n, 6, 6), np.nan)
     even = np.full(count, 1.0 / count)
     for k in range(found.start, n):
-        summarise(paths[k], even, found.job.motion, mean[k], covariance[k])
+        summarise(paths[k], even, motion, mean[k], covariance[k])
     return mean, covariance
 
 
@@ -256,64 +251,61 @@ def _filter(
     rng: np.random.Generator,
     *,
     keep: bool,
-) -> _FilterOutput:
+) -> _Filtered:
     job = prepare(track, model, camera, options.pose, options.image_pose)
     observed = np.flatnonzero(job.position.kind)
     if not len(observed):
         raise SolveError(track.track_id, NO_POSITION)
     n, count, start = len(track), options.particles, int(observed[0])
-    found = _FilterOutput(
-        job,
-        start,
+    output = FilterOutput(
         np.full((n, 6), np.nan),
         np.full((n, 6, 6), np.nan),
         np.full(n, np.nan),
         np.full(n, np.nan),
         np.full((n if keep else 0, count, 6), np.nan),
         np.full((n if keep else 0, count), np.nan),
-        [],
     )
     particles = np.zeros((2, count, 6))
     speed = model.parameters.motion.initial_speed_std
-    particles[0, :, :4] = draw_states(job, start, count, speed, rng)
+    particles[0, :, :BODY] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
-    given: tuple[Any, ...] = (job.motion, job.position, job.body, job.head, job.camera)
-    given += (options.resample_below, found.mean, found.covariance, found.log_evidence)
-    given += (found.effective_sample_size, found.history, found.history_log_weights)
-    k, mode, used = start, FIRST, POSITION
+    recovered: list[int] = []
+    begin = Start(start, FIRST, Used(position=True, body=False, head=False))
     while True:
-        k, half = run(rng, k, mode, used, particles, log_weights, *given)
+        k, half = run(rng, begin, particles, log_weights, job, options.resample_below, output)
         if k == n:
             break
         particles[0] = particles[half]
-        used = recover(job, k, particles[0], speed, rng)
+        begin = Start(k, RECOVERED, recover(job, k, particles[0], speed, rng))
         log_weights[:] = -np.log(count)
-        found.recovered.append(k)
-        mode = RECOVERED
-    if found.recovered:
-        rows = ", ".join(str(int(track.frame[k])) for k in found.recovered[:5])
-        more = "" if len(found.recovered) <= 5 else f" and {len(found.recovered) - 5} more"
+        recovered.append(k)
+    if recovered:
+        rows = ", ".join(str(int(track.frame[k])) for k in recovered[:5])
+        more = "" if len(recovered) <= 5 else f" and {len(recovered) - 5} more"
         warnings.warn(
             f"track {track.track_id}: no particle was near the observation at frame {rows}{more}; "
             "the particle filter began again there",
             InputWarning,
             stacklevel=3,
         )
-    return found
+    return _Filtered(job, start, output, recovered)
 
 
 def _estimate(
     track: Track,
     model: Model,
-    found: _FilterOutput,
+    found: _Filtered,
     mean: FloatArray,
     covariance: FloatArray,
 ) -> ParticleEstimate:
     estimate = track.with_estimates(
-        position=mean[:, :2],
-        velocity=mean[:, 2:4],
-        body=mean[:, 4] if model.has_body else None,
-        head=mean[:, 5] if model.has_head else None,
+        position=mean[:, :VX],
+        velocity=mean[:, VX:BODY],
+        body=mean[:, BODY] if model.has_body else None,
+        head=mean[:, HEAD] if model.has_head else None,
         covariance=covariance,
     )
-    return ParticleEstimate(estimate, found.log_evidence, found.effective_sample_size, tuple(found.recovered))
+    output = found.output
+    return ParticleEstimate(
+        estimate, output.log_evidence, output.effective_sample_size, tuple(found.recovered)
+    )

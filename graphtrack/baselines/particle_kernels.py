@@ -1,20 +1,22 @@
-"""Compiled steps of particle filters: log-weights, resampling, seeding, moves, and backward simulation.
-
-A particle is x, y, vx, vy (metres, m/s), body and head (radians).
-"""
+"""Compiled steps of particle filters: log-weights, resampling, seeding, moves, and backward simulation."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.particle_model import (
-    PackedCamera,
+    BODY,
+    HEAD,
+    VX,
+    VY,
+    Job,
     PackedMotion,
-    PackedPose,
-    PackedPosition,
+    X,
+    Y,
     add_pose_log_density,
     add_position_log_density,
     sample_von_mises,
@@ -102,7 +104,33 @@ PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """Start of a run: from the frame before; with positions and velocities drawn already, angles from their
 couplings; with everything at hand already."""
 
-POSITION, BODY, HEAD = 1, 2, 4  # Observations that were used up when particles were drawn from them
+
+class Used(NamedTuple):
+    """Observations of a frame from which particles were drawn, so that they do not count again."""
+
+    position: bool
+    body: bool
+    head: bool
+
+
+class Start(NamedTuple):
+    """Frame with which a run begins, and how: `PROPAGATE`, `FIRST` or `RECOVERED`."""
+
+    frame: int
+    mode: int
+    used: Used
+
+
+class FilterOutput(NamedTuple):
+    """Results of a filter over n frames; NaN where it has not been."""
+
+    mean: FloatArray  # (n, 6)
+    covariance: FloatArray  # (n, 6, 6)
+    log_evidence: FloatArray  # (n,)
+    effective_sample_size: FloatArray  # (n,)
+    history: FloatArray  # (n, particles, 6), or of length 0: particles are not kept
+    history_log_weights: FloatArray  # (n, particles), likewise
+
 
 VANISHED = -700.0
 """Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""
@@ -126,25 +154,29 @@ def draw_angles(
 ) -> None:
     """Angles of a particle of known velocity, from the products of Chen et al. 2011, eq. 8 and 10."""
     if motion.has_body:
-        vx, vy = after[2], after[3]
+        vx, vy = after[VX], after[VY]
         pull = motion_pull(vx, vy, k, motion)
         kappa = 0.0 if first else motion.body_turn_kappa[k]
         if pull > 0.0:
             speed = math.sqrt(vx * vx + vy * vy)
-            east = kappa * math.cos(before[4]) + pull * vx / speed
-            north = kappa * math.sin(before[4]) + pull * vy / speed
-            after[4] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+            east = kappa * math.cos(before[BODY]) + pull * vx / speed
+            north = kappa * math.sin(before[BODY]) + pull * vy / speed
+            after[BODY] = sample_von_mises(
+                rng, math.atan2(north, east), math.sqrt(east * east + north * north)
+            )
         else:
-            after[4] = sample_von_mises(rng, before[4], kappa)
+            after[BODY] = sample_von_mises(rng, before[BODY], kappa)
     if motion.has_head:
         pull = motion.head_body_kappa[k]
         kappa = 0.0 if first else motion.head_turn_kappa[k]
         if pull > 0.0:
-            east = kappa * math.cos(before[5]) + pull * math.cos(after[4])
-            north = kappa * math.sin(before[5]) + pull * math.sin(after[4])
-            after[5] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+            east = kappa * math.cos(before[HEAD]) + pull * math.cos(after[BODY])
+            north = kappa * math.sin(before[HEAD]) + pull * math.sin(after[BODY])
+            after[HEAD] = sample_von_mises(
+                rng, math.atan2(north, east), math.sqrt(east * east + north * north)
+            )
         else:
-            after[5] = sample_von_mises(rng, before[5], kappa)
+            after[HEAD] = sample_von_mises(rng, before[HEAD], kappa)
 
 
 @compiled
@@ -160,19 +192,19 @@ def carry(
     gain, far = 1.0 - keep, motion.dt[k] - reach
     for i in range(len(after)):
         source = ancestors[i]
-        x, y, vx, vy = before[source, 0], before[source, 1], before[source, 2], before[source, 3]
-        after[i, 0], after[i, 1] = x + reach * vx, y + reach * vy
-        after[i, 2], after[i, 3] = keep * vx, keep * vy
+        x, y, vx, vy = before[source, X], before[source, Y], before[source, VX], before[source, VY]
+        after[i, X], after[i, Y] = x + reach * vx, y + reach * vy
+        after[i, VX], after[i, VY] = keep * vx, keep * vy
         if gain > 0.0:
             # The speed as `IntentionalMotion` has it.
             square = vx * vx + vy * vy
             speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
-            head = before[source, 5]
+            head = before[source, HEAD]
             aim_x, aim_y = speed * math.cos(head), speed * math.sin(head)
-            after[i, 0] += far * aim_x
-            after[i, 1] += far * aim_y
-            after[i, 2] += gain * aim_x
-            after[i, 3] += gain * aim_y
+            after[i, X] += far * aim_x
+            after[i, Y] += far * aim_y
+            after[i, VX] += gain * aim_x
+            after[i, VY] += gain * aim_y
 
 
 @compiled
@@ -190,8 +222,8 @@ def draw_motion(
     for i in range(len(after)):
         for axis in range(2):
             first = rng.standard_normal()
-            after[i, axis] += a * first
-            after[i, 2 + axis] += b * first + c * rng.standard_normal()
+            after[i, X + axis] += a * first
+            after[i, VX + axis] += b * first + c * rng.standard_normal()
 
 
 @compiled
@@ -200,13 +232,13 @@ def summarise_motion(
 ) -> None:
     """Weighted mean and covariance of the first four numbers, in one pass about the heaviest particle."""
     heaviest = np.argmax(weights)
-    x0, y0 = particles[heaviest, 0], particles[heaviest, 1]
-    u0, v0 = particles[heaviest, 2], particles[heaviest, 3]
+    x0, y0 = particles[heaviest, X], particles[heaviest, Y]
+    u0, v0 = particles[heaviest, VX], particles[heaviest, VY]
     x1 = y1 = u1 = v1 = xx = xy = xu = xv = yy = yu = yv = uu = uv = vv = 0.0
     for i in range(len(weights)):
         w = weights[i]
-        x, y = particles[i, 0] - x0, particles[i, 1] - y0
-        u, v = particles[i, 2] - u0, particles[i, 3] - v0
+        x, y = particles[i, X] - x0, particles[i, Y] - y0
+        u, v = particles[i, VX] - u0, particles[i, VY] - v0
         wx, wy, wu, wv = w * x, w * y, w * u, w * v
         x1 += wx
         y1 += wy
@@ -222,39 +254,39 @@ def summarise_motion(
         uu += wu * u
         uv += wu * v
         vv += wv * v
-    mean[0], mean[1], mean[2], mean[3] = x0 + x1, y0 + y1, u0 + u1, v0 + v1
-    covariance[0, 0], covariance[1, 1] = xx - x1 * x1, yy - y1 * y1
-    covariance[2, 2], covariance[3, 3] = uu - u1 * u1, vv - v1 * v1
-    covariance[0, 1] = covariance[1, 0] = xy - x1 * y1
-    covariance[0, 2] = covariance[2, 0] = xu - x1 * u1
-    covariance[0, 3] = covariance[3, 0] = xv - x1 * v1
-    covariance[1, 2] = covariance[2, 1] = yu - y1 * u1
-    covariance[1, 3] = covariance[3, 1] = yv - y1 * v1
-    covariance[2, 3] = covariance[3, 2] = uv - u1 * v1
+    mean[X], mean[Y], mean[VX], mean[VY] = x0 + x1, y0 + y1, u0 + u1, v0 + v1
+    covariance[X, X], covariance[Y, Y] = xx - x1 * x1, yy - y1 * y1
+    covariance[VX, VX], covariance[VY, VY] = uu - u1 * u1, vv - v1 * v1
+    covariance[X, Y] = covariance[Y, X] = xy - x1 * y1
+    covariance[X, VX] = covariance[VX, X] = xu - x1 * u1
+    covariance[X, VY] = covariance[VY, X] = xv - x1 * v1
+    covariance[Y, VX] = covariance[VX, Y] = yu - y1 * u1
+    covariance[Y, VY] = covariance[VY, Y] = yv - y1 * v1
+    covariance[VX, VY] = covariance[VY, VX] = uv - u1 * v1
 
 
 @allocating
 def summarise_angle(
-    particles: FloatArray, weights: FloatArray, place: int, mean: FloatArray, covariance: FloatArray
+    particles: FloatArray, weights: FloatArray, column: int, mean: FloatArray, covariance: FloatArray
 ) -> None:
-    """Circular mean of one angle, its variance, and its covariances with what stands before it."""
+    """Circular mean of an angle, `BODY` or `HEAD`, its variance, and its covariances with earlier columns."""
     n = len(weights)
     east = north = 0.0
     for i in range(n):
-        east += weights[i] * math.cos(particles[i, place])
-        north += weights[i] * math.sin(particles[i, place])
-    mean[place] = math.atan2(north, east)
+        east += weights[i] * math.cos(particles[i, column])
+        north += weights[i] * math.sin(particles[i, column])
+    mean[column] = math.atan2(north, east)
     sums = np.zeros(6)
     for i in range(n):
-        deviation = wrapped(particles[i, place] - mean[place])
+        deviation = wrapped(particles[i, column] - mean[column])
         scaled = weights[i] * deviation
-        for j in range(4):
+        for j in range(BODY):
             sums[j] += scaled * (particles[i, j] - mean[j])
-        if place == 5:
-            sums[4] += scaled * wrapped(particles[i, 4] - mean[4])
-        sums[place] += scaled * deviation
-    for j in range(place + 1):
-        covariance[place, j] = covariance[j, place] = sums[j]
+        if column == HEAD:
+            sums[BODY] += scaled * wrapped(particles[i, BODY] - mean[BODY])
+        sums[column] += scaled * deviation
+    for j in range(column + 1):
+        covariance[column, j] = covariance[j, column] = sums[j]
 
 
 @compiled
@@ -264,59 +296,46 @@ def summarise(
     """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of the particles."""
     summarise_motion(particles, weights, mean, covariance)
     if motion.has_body:
-        summarise_angle(particles, weights, 4, mean, covariance)
+        summarise_angle(particles, weights, BODY, mean, covariance)
     if motion.has_head:
-        summarise_angle(particles, weights, 5, mean, covariance)
+        summarise_angle(particles, weights, HEAD, mean, covariance)
         if not motion.has_body:
-            covariance[4, 5] = covariance[5, 4] = math.nan
+            covariance[BODY, HEAD] = covariance[HEAD, BODY] = math.nan
 
 
 @allocating
 def run(
     rng: np.random.Generator,
-    start: int,
-    mode: int,
-    used: int,
+    start: Start,
     particles: FloatArray,
     log_weights: FloatArray,
-    motion: PackedMotion,
-    position: PackedPosition,
-    body: PackedPose,
-    head: PackedPose,
-    camera: PackedCamera,
+    job: Job,
     resample_below: float,
-    mean: FloatArray,
-    covariance: FloatArray,
-    log_evidence: FloatArray,
-    sample_size: FloatArray,
-    history: FloatArray,
-    history_log_weights: FloatArray,
+    output: FilterOutput,
 ) -> tuple[int, int]:
-    """Filter from frame ``start`` to the end, or to the frame at which all weights vanish.
+    """Filter from a frame to the end, or to the frame at which all weights vanish.
 
     Parameters
     ----------
-    mode : how the first frame begins: `PROPAGATE`, `FIRST` or `RECOVERED`
-    used : observations of the first frame that do not count: the sum of `POSITION`, `BODY` and `HEAD`
     particles : (2, n, 6): those of the frame before, or of this one, in the first half; both are written
     log_weights : (n,) normalised; written
     resample_below : share of n below which the effective sample size calls for resampling
-    mean, covariance, log_evidence, sample_size : (frames, …), written
-    history, history_log_weights : (frames, n, 6) and (frames, n) to keep the particles, or of length 0
 
     Returns
     -------
     frame, half : the frame at which all weights vanished, or the number of frames; the half of ``particles``
         that holds the last ones
     """
+    motion = job.motion
     n, frames = particles.shape[1], len(motion.dt)
     weights, log_likelihood, ancestors = np.empty(n), np.empty(n), np.arange(n)
     normalise(log_weights, weights)
     has_angles = motion.has_body or motion.has_head
     half = 0
-    for k in range(start, frames):
-        fresh, done = (mode, used) if k == start else (PROPAGATE, 0)
-        if fresh == PROPAGATE:
+    for k in range(start.frame, frames):
+        is_start = k == start.frame
+        mode = start.mode if is_start else PROPAGATE
+        if mode == PROPAGATE:
             if effective_sample_size(weights) < resample_below * n:
                 systematic_ancestors(weights, rng.random(), ancestors)
                 log_weights[:] = -math.log(n)
@@ -329,30 +348,30 @@ def run(
             if has_angles:
                 for i in range(n):
                     draw_angles(rng, k, False, before[ancestors[i]], after[i], motion)
-        elif fresh == FIRST:
+        elif mode == FIRST:
             for i in range(n):
                 draw_angles(rng, k, True, particles[half, i], particles[half, i], motion)
         now = particles[half]
         log_likelihood[:] = 0.0
-        if not done & POSITION:
-            add_position_log_density(now, k, position, camera, log_likelihood)
-        if motion.has_body and not done & BODY:
-            add_pose_log_density(now, 4, k, body, camera, log_likelihood)
-        if motion.has_head and not done & HEAD:
-            add_pose_log_density(now, 5, k, head, camera, log_likelihood)
+        if not (is_start and start.used.position):
+            add_position_log_density(now, k, job.position, job.camera, log_likelihood)
+        if motion.has_body and not (is_start and start.used.body):
+            add_pose_log_density(now, BODY, k, job.body, job.camera, log_likelihood)
+        if motion.has_head and not (is_start and start.used.head):
+            add_pose_log_density(now, HEAD, k, job.head, job.camera, log_likelihood)
         best = log_likelihood.max()
         for i in range(n):
             log_weights[i] += log_likelihood[i]
         log_sum = normalise(log_weights, weights)
-        if fresh != RECOVERED:
-            log_evidence[k] = log_sum
-        if fresh == PROPAGATE and best < VANISHED:
+        if mode != RECOVERED:
+            output.log_evidence[k] = log_sum
+        if mode == PROPAGATE and best < VANISHED:
             return k, half
-        summarise(now, weights, motion, mean[k], covariance[k])
-        sample_size[k] = effective_sample_size(weights)
-        if len(history):
-            history[k] = now
-            history_log_weights[k] = log_weights
+        summarise(now, weights, motion, output.mean[k], output.covariance[k])
+        output.effective_sample_size[k] = effective_sample_size(weights)
+        if len(output.history):
+            output.history[k] = now
+            output.history_log_weights[k] = log_weights
     return frames, half
 
 
@@ -384,14 +403,14 @@ def backward(
             for i in range(n):
                 score = history_log_weights[k, i]
                 for axis in range(2):
-                    first = (ahead[axis] - carried[i, axis]) / a
-                    second = (ahead[2 + axis] - carried[i, 2 + axis] - b * first) / c
+                    first = (ahead[X + axis] - carried[i, X + axis]) / a
+                    second = (ahead[VX + axis] - carried[i, VX + axis] - b * first) / c
                     score -= 0.5 * (first * first + second * second)
                 motions[i] = score
                 if score > motions[leader]:
                     leader = i
-            pull = motion_pull(ahead[2], ahead[3], k + 1, motion)
-            course = math.atan2(ahead[3], ahead[2])
+            pull = motion_pull(ahead[VX], ahead[VY], k + 1, motion)
+            course = math.atan2(ahead[VY], ahead[VX])
             # No product of von Mises exceeds the one in which both agree.
             most = 0.0
             if motion.has_body:
@@ -408,10 +427,10 @@ def backward(
                     continue
                 if motion.has_body:
                     kappa = motion.body_turn_kappa[k + 1]
-                    score += _product_log_density(ahead[4], now[i, 4], kappa, course, pull)
+                    score += _product_log_density(ahead[BODY], now[i, BODY], kappa, course, pull)
                 if motion.has_head:
                     kappa, follow = motion.head_turn_kappa[k + 1], motion.head_body_kappa[k + 1]
-                    score += _product_log_density(ahead[5], now[i, 5], kappa, ahead[4], follow)
+                    score += _product_log_density(ahead[HEAD], now[i, HEAD], kappa, ahead[BODY], follow)
                 scores[i] = score
                 best = max(best, score)
             paths[k, p] = now[_draw(rng, scores, motions, weights)]

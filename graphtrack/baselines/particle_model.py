@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -94,8 +93,11 @@ class PackedCamera(NamedTuple):
     judge_pose: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
+X, Y, VX, VY, BODY, HEAD = range(6)
+"""Columns of particles: metres, m/s and radians."""
+
+
+class Job(NamedTuple):
     """All that a run over one track needs."""
 
     motion: PackedMotion
@@ -278,7 +280,7 @@ def add_position_log_density(
     robust, threshold = position.robust, position.threshold
     h = camera.to_image
     for i in range(len(particles)):
-        x, y = particles[i, 0], particles[i, 1]
+        x, y = particles[i, X], particles[i, Y]
         if kind == 2:
             depth = h[2, 0] * x + h[2, 1] * y + h[2, 2]
             if depth <= 0.0:
@@ -316,16 +318,19 @@ def bearing(x: float, y: float, camera: PackedCamera) -> float:
 
 @compiled
 def add_pose_log_density(
-    particles: FloatArray, place: int, k: int, pose: PackedPose, camera: PackedCamera, found: FloatArray
+    particles: FloatArray, column: int, k: int, pose: PackedPose, camera: PackedCamera, found: FloatArray
 ) -> None:
-    """Add to ``found`` (n,) the log-likelihood of an orientation at frame k (Chen et al. 2011, eq. 13–14)."""
+    """Add to ``found`` (n,) the log-likelihood of an orientation at frame k (Chen et al. 2011, eq. 13–14).
+
+    ``column``: `BODY` or `HEAD`
+    """
     count = pose.components[k]
     if count == 0:
         return
     for i in range(len(particles)):
-        angle = particles[i, place]
+        angle = particles[i, column]
         if camera.judge_pose:
-            angle = camera.sign * (angle - bearing(particles[i, 0], particles[i, 1], camera) - math.pi)
+            angle = camera.sign * (angle - bearing(particles[i, X], particles[i, Y], camera) - math.pi)
         if pose.closest[k]:
             nearest = math.floor(angle * count / (2.0 * math.pi) + 0.5) % count
             found[i] += pose.log_height[k, nearest]

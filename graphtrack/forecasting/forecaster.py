@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.baselines.kalman import AXIS
 from graphtrack.errors import InputError
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, MotionFilters, standing
 from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemory, kernel_means
@@ -45,7 +46,7 @@ class Expected:
     square: FloatArray  # (n, A) their mean square about the mean, m² on each axis
 
 
-def together(
+def companion_velocities(
     position: ComplexArray,
     velocity: ComplexArray,
     neighbours: NDArray[np.int64],
@@ -72,7 +73,7 @@ def spreads(
     return np.sqrt(variance * 2.0 * ratio / (1.0 + ratio)), np.sqrt(variance * 2.0 / (1.0 + ratio))
 
 
-def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
+def turn_to_head(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
     """Return the angle (n,) by which the motion will turn to the head, radians.
 
     ``angle``: (n,) from the motion to the head; ``sure``: (n,) 1: observed and steady, 0: not observed
@@ -222,7 +223,7 @@ class Forecaster(Saved):
         self._area = None if walkable is None else WalkableArea.of(walkable)
         self.parameters = ForecastParameters() if parameters is None else parameters
         self._calibration = Calibration(self.parameters)
-        self._paths = PathMemory(self.parameters, self._calibration.see)
+        self._paths = PathMemory(self.parameters, self._calibration.add)
         self._of: dict[int, int] = {}
         self._free: list[int] = []
         self._filters = MotionFilters(0)
@@ -235,7 +236,7 @@ class Forecaster(Saved):
         self._position, self._head = np.zeros(0, complex), np.zeros(0, complex)
         # Cached predictions of each slot, and their time.
         self._moved, self._looked = np.zeros(0), np.zeros(0)
-        self._now, self._variance = np.zeros((0, 2), complex), np.zeros((0, 3))
+        self._now, self._variance = np.zeros((0, 2), complex), np.zeros(0, AXIS)
         self._nearby = np.zeros((0, 4, len(LAGS)), complex)
 
     def update(
@@ -282,12 +283,12 @@ class Forecaster(Saved):
         at = self._at(ids[known])
         if len(at):
             before = self._last[at]
-            self._paths.see(self._number[at], before, t, self._position[at], points[known])
+            self._paths.observe(self._number[at], before, t, self._position[at], points[known])
             self._filters.update(at, t - before, points[known], spread[known])
             self._position[at], self._last[at] = points[known], t
             self._count[at] += 1
         self.t = t
-        self._see_heads(ids, head)
+        self._update_heads(ids, head)
         self._anchor(t, at)
 
     def people(self, history: float = 0.0) -> NDArray[np.int64]:
@@ -371,10 +372,10 @@ class Forecaster(Saved):
         """Return the components of a forecast of people observed in the last seconds."""
         return self._expected(self._at(track_id), ahead)
 
-    def going(self, track_id: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def motion(self, track_id: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return positions, velocities and mean head directions (0: not observed) of such people, (n,)."""
         at = self._at(track_id)
-        position, velocity, _ = self._going(at)
+        position, velocity, _ = self._motion(at)
         return position, velocity, self._head[at]
 
     def _at(self, track_id: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -409,7 +410,7 @@ class Forecaster(Saved):
                 self._count[place] = 0
                 self._free.append(place)
 
-    def _see_heads(self, ids: NDArray[np.int64], head: FloatArray | None) -> None:
+    def _update_heads(self, ids: NDArray[np.int64], head: FloatArray | None) -> None:
         angles = np.full(len(ids), np.nan) if head is None else np.asarray(head, float)
         at = self._at(ids)
         if not len(at):
@@ -429,20 +430,21 @@ class Forecaster(Saved):
         self._filters.learn(at, 0.1)
         expected = self._expected(at, LAGS)
         along, across = spreads(self.parameters, expected, LAGS)
-        position, velocity, _ = self._going(at)
+        position, velocity, _ = self._motion(at)
         deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
         spread = np.sqrt((along**2 + across**2) / 2)
         spread[t - self._first[at] < JUDGED - TIME_TOLERANCE] = np.nan
         self._paths.add(t, self._number[at], position, velocity, deviation, spread)
 
-    def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    def _motion(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, NDArray[Any]]:
+        """Return positions, velocities and their variances (n,) of `AXIS`, now."""
         if (self._moved[at] != self.t).any():
             here = np.flatnonzero((self._count >= 2) & (self._last == self.t))
             old = np.union1d(here, at)
             motion = self._filters.motion(old, self.t - self._last[old])
             own = standing(motion.velocity, self.parameters.stop_speed)
             neighbours = np.searchsorted(old, here)
-            velocity = together(motion.position, own, neighbours, self.parameters)
+            velocity = companion_velocities(motion.position, own, neighbours, self.parameters)
             self._now[old] = np.stack([motion.position, velocity], axis=1)
             self._variance[old], self._moved[old] = motion.variance, self.t
         return self._now[at, 0], self._now[at, 1], self._variance[at]
@@ -460,11 +462,11 @@ class Forecaster(Saved):
         return NearbyDeviations(weight.real, deviation, square.real, distance.real)
 
     def _expected(self, at: NDArray[np.int64], ahead: FloatArray) -> Expected:
-        position, velocity, variance = self._going(at)
+        position, velocity, variance = self._motion(at)
         speed = np.abs(velocity)
         direction = np.where(speed > 1e-6, velocity / np.maximum(speed, 1e-6), 1.0)
         head = self._head[at]
-        led = lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
+        led = turn_to_head(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
         turned = np.exp(1j * led[:, None] * mean_turn(ahead, self.parameters))
         straight = velocity[:, None] * ahead * turned
         nearby = self._near(at, position, velocity)
@@ -473,7 +475,8 @@ class Forecaster(Saved):
         about = nearby.square - 2.0 * (shift.conj() * nearby.deviation).real + np.abs(shift) ** 2
         interpolate, growth = between_lags(ahead)
         correction = (shift @ interpolate.T) * growth
-        estimate = variance[:, :1] + 2.0 * ahead * variance[:, 1:2] + ahead**2 * variance[:, 2:]
+        own, cross, of_speed = (variance[name][:, None] for name in ("pp", "pv", "vv"))
+        estimate = own + 2.0 * ahead * cross + ahead**2 * of_speed
         return Expected(
             mean=position[:, None] + straight + correction,
             direction=direction,

@@ -8,11 +8,12 @@ differs by two orders of magnitude. Points of the plane are complex: both axes s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.baselines.kalman import AXIS
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import ParameterFile
 from graphtrack.saved import Saved
@@ -69,8 +70,10 @@ class ForecastParameters(ParameterFile):
 
 ComplexArray = NDArray[np.complex128]
 
-BELIEFS = np.array([(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)])
-"""(K, 2): 1-σ of positions on each axis, m, and the density q of the acceleration, m²/s³."""
+BELIEFS = np.array(
+    [(s, q) for s in (0.003, 0.02, 0.06, 0.2) for q in (0.005, 0.05)], [("std", float), ("density", float)]
+)
+"""(K,) hypotheses: 1-σ of positions on each axis, m, and the density of the acceleration, m²/s³."""
 
 _SPEED_VARIANCE = 1.0  # prior variance of a velocity on each axis, (m/s)²
 _EVIDENCE_SECONDS = 10.0  # time constant of forgetting a person's noise evidence
@@ -84,7 +87,7 @@ class MotionMixture:
 
     position: ComplexArray  # (n,) m
     velocity: ComplexArray  # (n,) m/s
-    variance: FloatArray  # (n, 3) of a position, between it and the velocity, and of a velocity, on each axis
+    variance: NDArray[Any]  # (n,) of `AXIS`
 
 
 def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
@@ -104,7 +107,7 @@ class MotionFilters(Saved):
     def __init__(self, capacity: int) -> None:
         size = (capacity, len(BELIEFS))
         self._position, self._velocity = np.zeros(size, complex), np.zeros(size, complex)
-        self._variance = np.zeros((*size, 3))
+        self._variance = np.zeros(size, AXIS)
         self._evidence = np.zeros(size)
         self._habit = np.zeros(len(BELIEFS))
 
@@ -119,15 +122,14 @@ class MotionFilters(Saved):
     def begin(self, at: NDArray[np.int64], position: ComplexArray, std: FloatArray) -> None:
         """Start new people in the slots ``at`` (n,), observed at ``position`` (n,) with 1-σ ``std``."""
         self._position[at], self._velocity[at] = position[:, None], 0.0
-        self._variance[at] = 0.0
-        self._variance[at, :, 0] = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
-        self._variance[at, :, 2] = _SPEED_VARIANCE
+        self._variance["pp"][at] = BELIEFS["std"] ** 2 + (std**2)[:, None]
+        self._variance["pv"][at], self._variance["vv"][at] = 0.0, _SPEED_VARIANCE
         self._evidence[at] = 0.0
 
     def update(self, at: NDArray[np.int64], dt: FloatArray, position: ComplexArray, std: FloatArray) -> None:
         """Update the people of the slots ``at`` with new observations after ``dt`` seconds (n,)."""
         step = dt[:, None]
-        noise = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
+        noise = BELIEFS["std"] ** 2 + (std**2)[:, None]
         own, cross, speed = self._predicted(at, step)
         velocity = self._velocity[at]
         predicted = self._position[at] + step * velocity
@@ -139,17 +141,17 @@ class MotionFilters(Saved):
         gain, gain_speed = own / expected, cross / expected
         mean = predicted + gain * error
         velocity = velocity + gain_speed * error
-        variance = np.stack([own * (1 - gain), cross * (1 - gain), speed - gain_speed * cross], axis=2)
+        variance = np.empty(own.shape, AXIS)
+        variance["pp"], variance["pv"] = own * (1 - gain), cross * (1 - gain)
+        variance["vv"] = speed - gain_speed * cross
         keep = np.exp(-step / _EVIDENCE_SECONDS)
         gained = -0.5 * np.minimum(distance, _FARTHEST) - np.log(expected)
         evidence = self._evidence[at] * keep + gained
         evidence -= evidence.max(axis=1, keepdims=True)
         mean[lost] = position[lost, None]
         velocity[lost] = 0.5 * self._velocity[at[lost]]
-        variance[lost] = np.stack(
-            [noise[lost], np.zeros_like(noise[lost]), np.full_like(noise[lost], _SPEED_VARIANCE)],
-            axis=2,
-        )
+        variance["pp"][lost], variance["pv"][lost] = noise[lost], 0.0
+        variance["vv"][lost] = _SPEED_VARIANCE
         evidence[lost] = self._evidence[at[lost]]
         self._position[at], self._velocity[at] = mean, velocity
         self._variance[at], self._evidence[at] = variance, evidence
@@ -158,8 +160,8 @@ class MotionFilters(Saved):
         self, at: NDArray[np.int64], step: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the variances (n, K) of positions, between them and velocities, and of velocities, later."""
-        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
-        density = BELIEFS[:, 1]
+        own, cross, speed = (self._variance[name][at] for name in ("pp", "pv", "vv"))
+        density = BELIEFS["density"]
         own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
         return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
 
@@ -181,10 +183,8 @@ class MotionFilters(Saved):
         own, cross, speed = self._predicted(at, step)
         position, velocity = (weights * positions).sum(axis=1), (weights * velocities).sum(axis=1)
         off, drift = positions - position[:, None], velocities - velocity[:, None]
-        between = (
-            own + np.abs(off) ** 2 / 2,
-            cross + (off.conj() * drift).real / 2,
-            speed + np.abs(drift) ** 2 / 2,
-        )
-        variance = np.stack([(weights * part).sum(axis=1) for part in between], axis=1)
+        variance = np.empty(len(at), AXIS)
+        variance["pp"] = (weights * (own + np.abs(off) ** 2 / 2)).sum(axis=1)
+        variance["pv"] = (weights * (cross + (off.conj() * drift).real / 2)).sum(axis=1)
+        variance["vv"] = (weights * (speed + np.abs(drift) ** 2 / 2)).sum(axis=1)
         return MotionMixture(position, velocity, variance)

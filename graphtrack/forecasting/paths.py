@@ -184,7 +184,7 @@ class PathMemory(Saved):
         self._expected[free], self._spread[free] = expected, spread
         self._active = np.union1d(self._active, free)
 
-    def see(
+    def observe(
         self,
         owner: NDArray[np.int64],
         before: FloatArray,

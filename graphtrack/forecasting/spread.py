@@ -120,7 +120,7 @@ class Calibration(Saved):
         self._counts = np.tile(parameters.scene_prior * usual, (len(LAGS), 1))
         self._factors: FloatArray | None = None
 
-    def see(self, lag: NDArray[np.int64], relative: FloatArray) -> None:
+    def add(self, lag: NDArray[np.int64], relative: FloatArray) -> None:
         """Count errors (n,) over their spreads, at the indices of their `LAGS`."""
         logs = np.log(np.clip(relative, 0.0101, 49.9))
         np.add.at(self._counts, (lag, np.searchsorted(_EDGES, logs) - 1), 1.0)

@@ -9,9 +9,11 @@ from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import (
+    BoolArray,
     FloatArray,
     class_centres,
     class_kappa,
@@ -19,11 +21,17 @@ from graphtrack.geometry.angles import (
     mean_resultant_length,
 )
 from graphtrack.interaction.gaze_model import (
-    PRESENCE,
-    PROBABILITY,
+    BELIEF,
+    PERSON,
     REACH,
     SETTLING,
+    VIEW,
     WAYS,
+    Beliefs,
+    Everybody,
+    GazeParameters,
+    HeadMixture,
+    Observers,
     concentration,
     gaze_of_frame,
     gaze_over_time,
@@ -85,9 +93,9 @@ class AttentionParameters(ParameterFile):
     def __post_init__(self) -> None:
         check_numbers(self)
 
-    def to_array(self) -> FloatArray:
-        """Return (6,) parameters in the order of `looking`."""
-        return np.array(astuple(self))
+    def packed(self) -> GazeParameters:
+        """Return the parameters for kernels."""
+        return GazeParameters(*astuple(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,14 +212,9 @@ def _of_one(
     neighbours, places_of, fellow = _neighbours(one, position, everybody, online)
     gap = track.dt.copy()
     gap[:1] = np.inf
-    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(track))
-    probability = gaze_over_time(
-        np.column_stack([position, drift(age)]),
-        places_of,
-        fellow,
-        _views(places, position),
-        *(weights, means, kappas, _noise(kappas[:, 0]), gap, not online, parameters.to_array()),
-    )
+    views, head = _views(places, position), head_mixture(track)
+    own = _person_records(position, age)
+    probability = gaze_over_time(own, places_of, fellow, views, head, gap, not online, parameters.packed())
     probability[~np.isfinite(position).all(axis=1)] = np.nan
     return Attention(
         track.track_id,
@@ -223,19 +226,28 @@ def _of_one(
     )
 
 
-def _views(places: Sequence[Place], position: FloatArray) -> FloatArray:
-    """Return (n, 5, places) views of places from positions (n, 2), as `see` fills those of people."""
-    views = np.zeros((len(position), 5, len(places)))
+def _person_records(position: FloatArray, age: FloatArray) -> NDArray[np.void]:
+    """Return people (n,) of `PERSON` at positions (n, 2), ``age`` (n,) seconds after an observation."""
+    found = np.empty(len(position), PERSON)
+    found["x"], found["y"] = position.T
+    found["variance"], found["presence"] = drift(age), presence(age)
+    return found
+
+
+def _views(places: Sequence[Place], position: FloatArray) -> NDArray[np.void]:
+    """Return (n, places) of `VIEW` from positions (n, 2)."""
+    views = np.zeros((len(position), len(places)), VIEW)
     for k, place in enumerate(places):
-        views[:, :3, k] = np.column_stack(place.viewed_from(position))
-    views[:, PRESENCE] = 1.0
+        one = views[:, k]
+        one["bearing"], one["half_angle"], one["distance"] = place.viewed_from(position)
+    views["presence"] = 1.0
     return views
 
 
 def _neighbours(
     one: _Person, position: FloatArray, everybody: Sequence[_Person], online: bool
-) -> tuple[list[_Person], FloatArray, np.ndarray]:
-    """Return other people who are near at any time, the (n, p, 4) of `see`, and shared groups (n, p)."""
+) -> tuple[list[_Person], NDArray[np.void], BoolArray]:
+    """Return other people who are near at any time, (n, p) of `PERSON`, and shared groups (n, p)."""
     t, found, places, fellow = one.track.t, [], [], []
     own = one.group_at(t, online)
     for other in everybody:
@@ -247,10 +259,10 @@ def _neighbours(
         away = np.linalg.norm(place - position, axis=1)
         if np.fmin.reduce(away, initial=np.inf) < REACH:
             found.append(other)
-            places.append(np.column_stack([place, drift(age), presence(age)]))
+            places.append(_person_records(place, age))
             fellow.append((own >= 0) & (own == other.group_at(t, online)))
     if not found:
-        return found, np.zeros((len(t), 0, 4)), np.zeros((len(t), 0), dtype=bool)
+        return found, np.zeros((len(t), 0), PERSON), np.zeros((len(t), 0), dtype=bool)
     return found, np.stack(places, axis=1), np.stack(fellow, axis=1)
 
 
@@ -260,11 +272,15 @@ def _noise(kappa: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (least * mean_resultant_length(least)))
 
 
-def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a head's von Mises mixture: weights, means and concentrations, (n, m) each.
+def head_mixture(track: Track) -> HeadMixture:
+    """Return the von Mises mixture of a head."""
+    parts = (np.ascontiguousarray(part) for part in _mixture(track))
+    weights, means, kappas = parts
+    return HeadMixture(weights, means, kappas, _noise(kappas[:, 0]))
 
-    NaN weights: unknown.
-    """
+
+def _mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights, means and concentrations of `head_mixture`."""
     if track.head is None and track.head_likelihood is not None:
         scores = track.head_likelihood
         total = scores.sum(axis=1, keepdims=True)
@@ -295,7 +311,7 @@ def rows_near_prior(
     """
     count = 0
     for track, one in zip(sorted(tracks, key=lambda track: track.track_id), found, strict=True):
-        known = np.isfinite(head_mixture(track)[0]).all(axis=1)
+        known = np.isfinite(head_mixture(track).weights).all(axis=1)
         away = np.full(len(track), np.inf)
         if known.any():
             _, since, until = interpolated(track.t[known], track.t[known, None], track.t, online=online)
@@ -475,8 +491,8 @@ class _Known:
     group: IntArray
     first: IntArray
     target: IntArray
-    person: FloatArray  # (k, 3) belief over those who were near, as in `go_on`
-    elsewhere: FloatArray  # (p, places + WAYS, 3) belief over places and no target
+    person: NDArray[np.void]  # (k,) of `BELIEF`, in those who were near
+    elsewhere: NDArray[np.void]  # (p, places + WAYS) of `BELIEF`, in places and no target
 
     def rows(self, track_id: IntArray) -> IntArray:
         """Return the index of each of some people, −1: unknown."""
@@ -509,7 +525,7 @@ _OF_TARGETS = ("target", "person")
 
 def _nobody(places: int) -> _Known:
     none, ids = np.empty(0), np.empty(0, dtype=np.int64)
-    beliefs = np.empty((0, 3)), np.empty((0, places + WAYS, 3))
+    beliefs = np.empty(0, BELIEF), np.empty((0, places + WAYS), BELIEF)
     return _Known(ids, none, none, none, ids, np.zeros(1, dtype=np.int64), ids, *beliefs)
 
 
@@ -575,7 +591,9 @@ class OnlineAttention(Saved):
         if not len(people):
             none = _nobody(len(self.places))
             place = np.empty((0, len(names) + 1))
-            return GazeTargets(0, math.nan, ids, none.first, none.target, none.person[:, 0], names, place)
+            return GazeTargets(
+                0, math.nan, ids, none.first, none.target, none.person["probability"], names, place
+            )
         t = float(people.t[0])
         if not t > self.t:
             raise InputError(f"t = {t:g}", f"a time after {self.t:g}")
@@ -594,16 +612,12 @@ class OnlineAttention(Saved):
         length = np.linalg.norm(people.head, axis=1)
         kappa = concentration(-2.0 * np.log(np.maximum(length, 1e-300)))
         angle = np.where(length > 0.0, direction(people.head), np.nan)
-        parameters = self.parameters.to_array()
         first, target, person, elsewhere = gaze_of_frame(
-            everybody.ids,
-            np.column_stack([everybody.position, drift(age), presence(age)]),
-            group,
-            observers,
-            np.column_stack([t - before, t - head_before]),
-            np.column_stack([angle, _noise(kappa)]),
+            Everybody(everybody.ids, _person_records(everybody.position, age), group),
+            Observers(observers, was, t - before, t - head_before, angle, _noise(kappa)),
             _views(self.places, people.position),
-            *(was, known.first, known.target, known.person, known.elsewhere, parameters),
+            Beliefs(known.first, known.target, known.person, known.elsewhere),
+            self.parameters.packed(),
         )
         t_head = np.where(length > 0.0, t, head_before)
         times = t_first, np.full(len(ids), t), t_head
@@ -614,8 +628,8 @@ class OnlineAttention(Saved):
         away = np.flatnonzero(gone & (t - known.t <= memory + TIME_TOLERANCE))
         self._known = kept.with_neighbours(known.of(away)) if len(away) else kept
         self.t = t
-        place = with_nothing(elsewhere[:, :, PROBABILITY], len(names))
-        return GazeTargets(int(people.frame[0]), t, ids, first, target, person[:, PROBABILITY], names, place)
+        place = with_nothing(elsewhere["probability"], len(names))
+        return GazeTargets(int(people.frame[0]), t, ids, first, target, person["probability"], names, place)
 
 
 def make_attention_ready() -> None:

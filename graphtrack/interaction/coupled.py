@@ -87,17 +87,17 @@ def with_neighbours(
 ) -> TrackSet:
     """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
     observed = people.age == 0.0
-    values = neighbours(people, evidence)[observed]
-    values[values[:, 2] == 0.0] = np.nan
+    toward, probability = (values[observed] for values in neighbours(people, evidence))
+    toward[probability == 0.0] = probability[probability == 0.0] = np.nan
     frame, identity = people.frame[people.frame_of][observed], people.ids[people.person][observed]
 
     def with_groups(track: Track) -> Track:
-        group = np.full((len(track), 3), np.nan)
+        space, together = np.full((len(track), 2), np.nan), np.full(len(track), np.nan)
         mine = identity == track.track_id
-        group[np.searchsorted(track.frame, frame[mine])] = values[mine]
-        group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
-        group[:, 2] = lasting(group[:, 2])
-        return with_group(track, group)
+        rows = np.searchsorted(track.frame, frame[mine])
+        space[rows], together[rows] = toward[mine], probability[mine]
+        space *= counts(space, track.dt, correlation_time)[:, None]
+        return with_group(track, np.column_stack([space, lasting(together)]))
 
     return tracks.map(with_groups)
 
@@ -111,8 +111,8 @@ def lasting(probability: FloatArray) -> FloatArray:
     return np.minimum(probability, np.minimum(around[:-2], around[2:]))
 
 
-def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
-    """(n, 3) of each person: a vector to the o-space, as long as it is sure, and p of a conversation.
+def neighbours(people: People, evidence: PairEvidence) -> tuple[FloatArray, FloatArray]:
+    """Return vectors (n, 2) to o-spaces, as long as they are sure, and probabilities (n,) of conversations.
 
     That is by where everybody near stands, who counts by the probability of being of one group. Who walks is
     in no conversation, and what is less probable than `LEAST` is not told.
@@ -124,7 +124,7 @@ def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
     surest *= 1.0 - walks(people, DEFAULT)
     surest[surest < LEAST] = 0.0
     faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
-    return np.column_stack([surest[:, None] * faced, surest])
+    return surest[:, None] * faced, surest
 
 
 def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
@@ -226,12 +226,13 @@ class Conversations(Saved):
         kept = FORGOTTEN * DEFAULT.memory_seconds + TIME_TOLERANCE
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}
         everybody = self._present.take(people)
-        found = neighbours(everybody, self._evidence.take(everybody))[everybody.age == 0.0]
+        both, here = neighbours(everybody, self._evidence.take(everybody)), everybody.age == 0.0
+        toward, probability = (values[here] for values in both)
         ids = people.ids[people.person].tolist()
         old = [self._known.get(one) or _Known(t, 0.0, 0.0, (0.0, 0.0, 0.0)) for one in ids]
         before = np.array([(known.x, known.y) for known in old])
         dt = t - np.array([known.t for known in old])
-        share = counts_after(before, found[:, :2], dt, self._correlation_time)
-        with_groups = np.column_stack([share[:, None] * found[:, :2], found[:, 2]])
-        for one, (x, y, _), group in zip(ids, found.tolist(), with_groups.tolist(), strict=True):
+        share = counts_after(before, toward, dt, self._correlation_time)
+        with_groups = np.column_stack([share[:, None] * toward, probability])
+        for one, (x, y), group in zip(ids, toward.tolist(), with_groups.tolist(), strict=True):
             self._known[one] = _Known(t, x, y, tuple(group))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,17 +175,19 @@ FORGOTTEN = 5.0
 def averaged(
     pair: IntArray, t: FloatArray, values: FloatArray, share: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair (n,), and the sums of weights (n,) s.
+    """Averages (k, n) with weights exp(−|Δt|/seconds) within each pair (n,), and the sums of weights (n,) s.
+
+    ``values``: (n, k).
 
     Each frame counts for a share (n,) of the time about it, so that the frame rate is without effect, but no
     frame for more than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
     """
     if seconds <= 0.0 or not len(pair):
-        return values, np.zeros(len(pair))
+        return values.T, np.zeros(len(pair))
     order: NDArray[np.int64] = np.lexsort((t, pair))
     found, weight = np.empty_like(values), np.empty(len(pair))
     found[order], weight[order] = _averaged(pair[order], t[order], values[order], share[order], seconds)
-    return found, weight
+    return found.T, weight
 
 
 @allocating
@@ -231,69 +233,6 @@ def since(gap: float, seconds: float) -> tuple[float, float]:
     if gap > FORGOTTEN * seconds + TIME_TOLERANCE:
         return min(_BEGINNING, seconds), 0.0
     return min(gap, seconds), math.exp(-gap / seconds)
-
-
-@allocating
-def merged(
-    known: IntArray,
-    last: FloatArray,
-    sums: FloatArray,
-    pairs: IntArray,
-    values: FloatArray,
-    share: FloatArray,
-    of: IntArray,
-    seconds: FloatArray,
-    t: float,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Take in a frame's pairs: all that are still known, when last seen, their sums; the averages of these.
-
-    Parameters
-    ----------
-    known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
-    last : (k,) seconds
-    sums : (k, 6) of the values of each pair, times the seconds that they count for, and of the seconds
-    values, share : (n, 4), and (n,) of the time since the frame before for which they count
-    of : (4,) which of the times of averaging each value has
-    seconds : (2,)
-    """
-    size, count = values.shape[1], len(pairs)
-    room = len(known) + count
-    all_pairs, all_last = np.empty((room, 2), dtype=np.int64), np.empty(room)
-    all_sums, means = np.empty((room, sums.shape[1])), np.empty((count, size))
-    at, k, n = 0, 0, 0
-    while k < len(known) or n < count:
-        before = n == count or (
-            k < len(known)
-            and (known[k, 1] < pairs[n, 1] or (known[k, 1] == pairs[n, 1] and known[k, 0] < pairs[n, 0]))
-        )
-        if before:
-            if t - last[k] <= FORGOTTEN * seconds.max() + TIME_TOLERANCE:
-                all_pairs[at], all_last[at], all_sums[at] = known[k], last[k], sums[k]
-                at += 1
-            k += 1
-            continue
-        met = k < len(known) and known[k, 0] == pairs[n, 0] and known[k, 1] == pairs[n, 1]
-        gap = t - last[k] if met else math.inf
-        all_pairs[at], all_last[at] = pairs[n], t
-        for part in range(len(seconds)):
-            about, fade = since(gap, seconds[part])
-            about *= share[n]
-            weight = about
-            if fade > 0.0:
-                weight += fade * sums[k, size + part]
-            all_sums[at, size + part] = weight
-            for j in range(size):
-                if of[j] != part:
-                    continue
-                total = about * values[n, j]
-                if fade > 0.0:
-                    total += fade * sums[k, j]
-                all_sums[at, j] = total
-                means[n, j] = total / weight if seconds[part] > 0.0 else values[n, j]
-        at += 1
-        k += met
-        n += 1
-    return all_pairs[:at].copy(), all_last[:at].copy(), all_sums[:at].copy(), means
 
 
 _SPEED_STEP = 0.1  # m/s over which standing becomes walking
@@ -363,40 +302,115 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
-@dataclass(frozen=True, eq=False)
-class PairValues:
-    """Evidence of pairs near each other from single frames.
+class PairValues(NamedTuple):
+    """Evidence of pairs of people near each other in one frame, or averaged over time.
 
     Attributes
     ----------
     left, right : (n,) rows in `People`, the left one first
-    values : (n, 4) log odds of one group, and how much both walk, averaged over ``persistence_seconds``; the
-        probability that both stand, or walk together, and the number of walkers near them, over
-        ``memory_seconds``
+    odds : (n,) log odds of one group, averaged over ``persistence_seconds``
+    walking : (n,) how much both walk, 0 to 1, averaged likewise
+    company : (n,) probability that both stand, or walk together, averaged over ``memory_seconds``
+    walkers : (n,) walkers near them, averaged likewise
     share : (n,) by which these count: less, the longer ago either person was observed
     """
 
     left: IntArray
     right: IntArray
-    values: FloatArray
+    odds: FloatArray
+    walking: FloatArray
+    company: FloatArray
+    walkers: FloatArray
     share: FloatArray
 
-    def evidence(
-        self, people: People, means: FloatArray, seconds: FloatArray, parameters: GroupParameters
-    ) -> PairEvidence:
-        """The evidence, given the averages (n, 4) and the seconds (n,) that the last ones are of."""
+    def evidence(self, people: People, seconds: FloatArray, parameters: GroupParameters) -> PairEvidence:
+        """Return the evidence of averages, given the seconds (n,) that ``company`` and ``walkers`` are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
-        odds, walking, company, walkers = means.T
-        standing = np.maximum(1.0 - 2.0 * walking, 0.0)  # groups that walk are judged by how they do
+        standing = np.maximum(1.0 - 2.0 * self.walking, 0.0)  # groups that walk are judged by how they do
         # Two who stand may also be any of the people who walk there and have stopped.
-        odds = odds - standing * (encounter_odds(company, seconds, parameters) + np.log1p(_PASSING * walkers))
+        against = encounter_odds(self.company, seconds, parameters) + np.log1p(_PASSING * self.walkers)
+        odds = self.odds - standing * against
         # Of one group are those alone who are still there.
         odds = np.where(self.share < 1.0, np.log(self.share) - np.log(1.0 - self.share + np.exp(-odds)), odds)
-        return PairEvidence(self.left, self.right, start, odds, walking)
+        return PairEvidence(self.left, self.right, start, odds, self.walking)
 
 
-_OF = np.array([0, 0, 1, 1])
-"""Which of the times of averaging each of a pair's values has."""
+KNOWN = np.dtype(
+    [
+        ("lesser", np.int64),  # ids
+        ("greater", np.int64),
+        ("t", float),  # seconds, when they were last near each other
+        ("odds", float),  # sums of `PairValues`, each times the seconds that it counts for
+        ("walking", float),
+        ("persistence", float),  # these seconds
+        ("company", float),
+        ("walkers", float),
+        ("memory", float),
+    ]
+)
+"""Pair that is known from the past."""
+
+
+@allocating
+def merged(
+    known: NDArray[np.void],
+    lesser: IntArray,
+    greater: IntArray,
+    found: PairValues,
+    persistence: float,
+    memory: float,
+    t: float,
+) -> tuple[NDArray[np.void], PairValues]:
+    """Take in a frame's pairs: return all that are still known, and the averages of the frame's.
+
+    Parameters
+    ----------
+    known : (k,) of `KNOWN`
+    lesser, greater : (n,) ids of the frame's pairs; both ascend by the greater, then by the lesser
+    persistence, memory : seconds of averaging
+    """
+    count, blank = len(lesser), np.zeros(1, KNOWN)
+    every = np.empty(len(known) + count, KNOWN)
+    odds, walking = found.odds.copy(), found.walking.copy()
+    company, walkers = found.company.copy(), found.walkers.copy()
+    at, k, n = 0, 0, 0
+    while k < len(known) or n < count:
+        if n == count or (
+            k < len(known)
+            and (
+                known[k].greater < greater[n]
+                or (known[k].greater == greater[n] and known[k].lesser < lesser[n])
+            )
+        ):
+            if t - known[k].t <= FORGOTTEN * max(persistence, memory) + TIME_TOLERANCE:
+                every[at] = known[k]
+                at += 1
+            k += 1
+            continue
+        met = k < len(known) and known[k].lesser == lesser[n] and known[k].greater == greater[n]
+        old, new = known[k] if met else blank[0], every[at]
+        gap = t - old.t if met else math.inf
+        new.lesser, new.greater, new.t = lesser[n], greater[n], t
+        about, stays = since(gap, persistence)
+        about *= found.share[n]
+        new.persistence = about + stays * old.persistence
+        new.odds = about * odds[n] + stays * old.odds
+        new.walking = about * walking[n] + stays * old.walking
+        if persistence > 0.0:
+            odds[n], walking[n] = new.odds / new.persistence, new.walking / new.persistence
+        about, stays = since(gap, memory)
+        about *= found.share[n]
+        new.memory = about + stays * old.memory
+        new.company = about * company[n] + stays * old.company
+        new.walkers = about * walkers[n] + stays * old.walkers
+        if memory > 0.0:
+            company[n], walkers[n] = new.company / new.memory, new.walkers / new.memory
+        at += 1
+        k += met
+        n += 1
+    return every[:at].copy(), PairValues(
+        found.left, found.right, odds, walking, company, walkers, found.share
+    )
 
 
 def pair_values(people: People, parameters: GroupParameters) -> PairValues:
@@ -413,8 +427,8 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
     odds = standing * odds + (1.0 - standing - walking) * parameters.apart + walking * alike
     walkers = np.bincount(left, walk[right], len(people)) + np.bincount(right, walk[left], len(people))
     near = np.minimum(walkers[left] - walk[right], walkers[right] - walk[left])
-    values, present = np.column_stack([odds, walking, company, np.maximum(near, 0.0)]), presence(people.age)
-    return PairValues(left, right, values, present[left] * present[right])
+    share = presence(people.age)
+    return PairValues(left, right, odds, walking, company, np.maximum(near, 0.0), share[left] * share[right])
 
 
 def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
@@ -422,10 +436,12 @@ def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
     found = pair_values(people, parameters)
     pair = people.person[found.left] * len(people.ids) + people.person[found.right]
     t = people.t[people.frame_of[found.left]]
-    persistence, memory = parameters.seconds
-    odds, _ = averaged(pair, t, found.values[:, :2], found.share, persistence)
-    company, seconds = averaged(pair, t, found.values[:, 2:], found.share, memory)
-    return found.evidence(people, np.hstack([odds, company]), seconds, parameters)
+    lasting = np.column_stack([found.odds, found.walking])
+    remembered = np.column_stack([found.company, found.walkers])
+    (odds, walking), _ = averaged(pair, t, lasting, found.share, parameters.persistence_seconds)
+    (company, walkers), seconds = averaged(pair, t, remembered, found.share, parameters.memory_seconds)
+    means = found._replace(odds=odds, walking=walking, company=company, walkers=walkers)
+    return means.evidence(people, seconds, parameters)
 
 
 class OnlineEvidence(Saved):
@@ -435,35 +451,24 @@ class OnlineEvidence(Saved):
     in the last minutes (five times the longest time of averaging).
     """
 
-    _saved: ClassVar = dict.fromkeys(("_pairs", "_last", "_sums"), np.ndarray)
+    _saved: ClassVar = {"_known": np.ndarray}
 
     def __init__(self, parameters: GroupParameters) -> None:
         self.parameters = parameters
-        self._pairs = np.empty((0, 2), dtype=np.int64)  # ids, ascending by the greater, then by the lesser
-        self._last = np.empty(0)
-        # Of each pair its values, each times the seconds it counts for, and those seconds.
-        self._sums = np.empty((0, 6))
+        self._known = np.empty(0, KNOWN)  # ascending by the greater id, then by the lesser
 
     def __len__(self) -> int:
         """The pairs that are known."""
-        return len(self._pairs)
+        return len(self._known)
 
     def take(self, people: People) -> PairEvidence:
         """Take in the people of one frame, later than those before, or of none; the evidence of its pairs."""
         found = pair_values(people, self.parameters)
         if not len(people):
-            return found.evidence(people, found.values, np.zeros(0), self.parameters)
-        pairs, t = np.column_stack([people.ids[found.left], people.ids[found.right]]), float(people.t[0])
-        self._pairs, self._last, self._sums, means = merged(
-            self._pairs,
-            self._last,
-            self._sums,
-            pairs,
-            found.values,
-            found.share,
-            _OF,
-            np.array(self.parameters.seconds),
-            t,
-        )
-        here = self._last == t  # in the order of the frame's pairs
-        return found.evidence(people, means, self._sums[here, 5], self.parameters)
+            return found.evidence(people, np.zeros(0), self.parameters)
+        t, parameters = float(people.t[0]), self.parameters
+        ids = people.ids[found.left], people.ids[found.right]
+        seconds = parameters.persistence_seconds, parameters.memory_seconds
+        self._known, means = merged(self._known, *ids, found, *seconds, t)
+        here = self._known["t"] == t  # in the order of the frame's pairs
+        return means.evidence(people, self._known["memory"][here], parameters)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -17,13 +19,20 @@ REACH = 15.0
 """Largest distance in metres of people as gaze targets and occluders; places have no limit."""
 SHOULDERS = 0.25
 """Half the width in metres of a person as gaze target or occluder."""
-LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
-"""Indices in an array of `AttentionParameters`."""
-BEARING, HALF, FAR, BLUR, PRESENCE = range(5)
-"""Rows of a view of targets: bearing and half the angular width, rad; distance, m; variance of a predicted
-bearing, rad²; share of the presence that is certain. The distance of an absent target is NaN."""
-PROBABILITY, MEAN, VARIANCE = range(3)
-"""Columns of a belief over targets: probability, and the head's deviation from the bearing, rad and rad²."""
+PERSON = np.dtype([("x", float), ("y", float), ("variance", float), ("presence", float)])
+"""Position of a person, m, its variance, m², and the share of the presence that is certain."""
+VIEW = np.dtype(
+    [
+        ("bearing", float),  # rad
+        ("half_angle", float),  # half the angular width, rad
+        ("distance", float),  # m; NaN: absent
+        ("blur", float),  # variance of a predicted bearing, rad²
+        ("presence", float),  # share of the presence that is certain
+    ]
+)
+"""Target as an observer sees it."""
+BELIEF = np.dtype([("probability", float), ("mean", float), ("variance", float)])
+"""Probability of a target, and the head's deviation from its bearing, rad and rad²."""
 WAYS = 24
 """Directions of gaze at no target; they follow the targets."""
 _NARROW = 0.26  # radians, slightly more than half the angular width of a person at 1 m
@@ -37,36 +46,97 @@ _WIDEST = math.pi**2 / 3.0  # rad², variance of the uniform density
 _WAY = 2.0 * math.pi / WAYS  # radians between two directions
 
 
+class GazeParameters(NamedTuple):
+    """`AttentionParameters` for kernels."""
+
+    look_std: float
+    nothing: float
+    distance: float
+    fellows: float
+    switching: float
+    correlation_time: float
+
+
+class HeadMixture(NamedTuple):
+    """Von Mises mixture of a head in n frames."""
+
+    weights: FloatArray  # (n, modes) NaN: unknown
+    means: FloatArray  # (n, modes) rad
+    kappas: FloatArray  # (n, modes)
+    variance: FloatArray  # (n,) rad², of a single mode
+
+
+class Targets(NamedTuple):
+    """Gaze targets of an observer in a frame: people, places and `WAYS`."""
+
+    bearing: FloatArray  # (n,) rad; NaN: absent
+    spread: FloatArray  # (n,) rad², variance of heads about the target
+    prior: FloatArray  # (n,) probability without a head observation
+    likelihood: FloatArray  # (n,) of a head with several modes; 1 for others
+
+
+class Everybody(NamedTuple):
+    """People of a frame, observed or predicted."""
+
+    ids: IntArray  # (m,) ascending
+    people: NDArray[np.void]  # (m,) of `PERSON`
+    group: IntArray  # (m,) −1: none
+
+
+class Observers(NamedTuple):
+    """People of a frame who are observed."""
+
+    row: IntArray  # (n,) in `Everybody`
+    previous: IntArray  # (n,) index among the previous observers, −1: none
+    gap: FloatArray  # (n,) seconds from each one's frame before; infinite without one
+    head_gap: FloatArray  # (n,) seconds from the last observed head; infinite without one
+    head: FloatArray  # (n,) rad; NaN: unknown
+    head_variance: FloatArray  # (n,) rad²
+
+
+class Beliefs(NamedTuple):
+    """Beliefs of n observers over their targets."""
+
+    first: IntArray  # (n + 1,) first target of each observer
+    target: IntArray  # (k,) ids of people near enough, ascending for each observer
+    person: NDArray[np.void]  # (k,) of `BELIEF`, in these
+    elsewhere: NDArray[np.void]  # (n, places + WAYS) of `BELIEF`
+
+
 @compiled
-def turn(angle: float) -> float:
+def wrapped(angle: float) -> float:
     """Wrap an angle to ±π."""
     return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
 
+@compiled
+def half_angle(radius: float, distance: float) -> float:
+    """Return half the angular width, radians, of a disc from a distance in metres; π from inside it."""
+    return math.asin(radius / distance) if distance > radius else math.pi
+
+
 @allocating
-def half_angle(radius: float, far: FloatArray) -> FloatArray:
-    """Return half the angular width, radians, of a disc from (n,) metres; π from inside it."""
-    found = np.empty(len(far))
-    for k in range(len(far)):
-        found[k] = math.asin(radius / far[k]) if far[k] > radius else math.pi
+def half_angles(radius: float, distance: FloatArray) -> FloatArray:
+    """`half_angle` from (n,) metres."""
+    found = np.empty(len(distance))
+    for k in range(len(distance)):
+        found[k] = half_angle(radius, distance[k])
     return found
 
 
-@allocating
-def see(own: FloatArray, neighbours: FloatArray, view: FloatArray) -> None:
-    """Fill the `BEARING`, … of other people in a view (5, n); those beyond `REACH` are absent.
-
-    ``own``, ``neighbours``: (3,), (n, 4) position, m, its variance, m², and the share of the presence
-    """
+@compiled
+def view_people(own: Any, neighbours: Any, view: Any) -> None:
+    """Fill the view (n,) of other people (n,) of `PERSON` by one; those beyond `REACH` are absent."""
     for j in range(len(neighbours)):
-        x, y = neighbours[j, 0] - own[0], neighbours[j, 1] - own[1]
-        view[BEARING, j], view[FAR, j] = math.atan2(y, x), math.hypot(x, y)
+        other, target = neighbours[j], view[j]
+        x, y = other.x - own.x, other.y - own.y
+        target.bearing, target.distance = math.atan2(y, x), math.hypot(x, y)
         square = max(x * x + y * y, 1e-12)
-        view[BLUR, j] = min((own[2] + neighbours[j, 2]) / square, _WIDEST)
-        view[PRESENCE, j] = neighbours[j, 3]
-        if not view[FAR, j] < REACH:
-            view[BEARING, j] = view[FAR, j] = math.nan
-    view[HALF] = half_angle(SHOULDERS, view[FAR])
+        target.blur = min((own.variance + other.variance) / square, _WIDEST)
+        target.presence = other.presence
+        if not target.distance < REACH:
+            target.bearing = target.distance = math.nan
+        target.half_angle = half_angle(SHOULDERS, target.distance)
 
 
 @compiled
@@ -96,89 +166,87 @@ def _covered(apart: float, half: float, of_target: float) -> float:
 
 
 @compiled
-def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
+def _share_in_sight(target: Any, around: Any, wide: Any) -> float:
     """Return the visible share of a target's angle, not occluded by nearer people.
 
-    ``around``, ``wide``: (3, k) bearing, half the angle and distance of people: of all by their bearing,
-    three times round, and of those who cover more than `_NARROW` to either side
+    ``around``, ``wide``: (k,) views of people: of all by their bearing, three times round, and of those who
+    cover more than `_NARROW` to either side
     """
-    covered = 0.0
-    for k in range(wide.shape[1]):
-        if wide[2, k] < far:
-            covered = max(covered, _covered(abs(turn(wide[0, k] - bearing)), wide[1, k], half))
-    middle = turn(bearing)
-    for k in range(np.searchsorted(around[0], middle - half - _NARROW), around.shape[1]):
-        if around[0, k] > middle + half + _NARROW:
+    covered, half = 0.0, target.half_angle
+    for k in range(len(wide)):
+        if wide[k].distance < target.distance:
+            apart = abs(wrapped(wide[k].bearing - target.bearing))
+            covered = max(covered, _covered(apart, wide[k].half_angle, half))
+    middle = wrapped(target.bearing)
+    for k in range(np.searchsorted(around.bearing, middle - half - _NARROW), len(around)):
+        if around[k].bearing > middle + half + _NARROW:
             break
-        if around[2, k] < far:
-            covered = max(covered, _covered(abs(around[0, k] - middle), around[1, k], half))
+        if around[k].distance < target.distance:
+            covered = max(covered, _covered(abs(around[k].bearing - middle), around[k].half_angle, half))
     return 1.0 - covered / (2.0 * half) if half > 0.0 else 1.0
 
 
 @allocating
-def _in_the_way(view: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _occluders(view: Any) -> tuple[Any, Any]:
     """Return people in the form of `_share_in_sight`: those whose bearing is known within their width."""
-    bearing, half, far = view[BEARING], view[HALF], view[FAR]
-    near = np.flatnonzero(view[BLUR] < half**2)
-    near = near[~np.isnan(far[near])]
-    near = near[np.argsort(bearing[near])]
+    near = np.flatnonzero((view.blur < view.half_angle**2) & ~np.isnan(view.distance))
+    near = near[np.argsort(view.bearing[near])]
     count = len(near)
-    around, wide = np.empty((3, 3 * count)), np.empty((3, count))
+    around, wide = np.empty(3 * count, VIEW), np.empty(count, VIEW)
     size = 0
     for place in range(count):
-        k = near[place]
+        one = view[near[place]]
         for lap in range(3):
-            at = place + lap * count
-            around[0, at] = bearing[k] + 2.0 * math.pi * (lap - 1)
-            around[1, at], around[2, at] = half[k], far[k]
-        if half[k] > _NARROW:
-            wide[0, size], wide[1, size], wide[2, size] = bearing[k], half[k], far[k]
+            around[place + lap * count] = one
+            around[place + lap * count].bearing += 2.0 * math.pi * (lap - 1)
+        if one.half_angle > _NARROW:
+            wide[size] = one
             size += 1
-    return around, wide[:, :size]
+    return around, wide[:size]
 
 
 @allocating
-def prior_of_gaze(view: FloatArray, fellow: np.ndarray, parameters: FloatArray, prior: FloatArray) -> None:
+def gaze_prior(view: Any, fellow: BoolArray, parameters: GazeParameters, prior: FloatArray) -> None:
     """Fill prior probabilities of targets and `WAYS`, (targets + WAYS,), without a head observation.
 
     Without a target that is certain to be present, the probability of no target is greater.
 
     Parameters
     ----------
-    view : (5, targets) of the targets; people come first
+    view : (targets,) of `VIEW`; people come first
     fellow : (people,) True in the observer's group
     """
     people = len(fellow)
-    around, wide = _in_the_way(view[:, :people])
+    around, wide = _occluders(view[:people])
     total, surest = 0.0, 0.0
-    for j in range(view.shape[1]):
+    for j in range(len(view)):
         prior[j] = 0.0
-        far = view[FAR, j]
-        if math.isnan(far):
+        one = view[j]
+        if math.isnan(one.distance):
             continue
-        weight = _share_in_sight(view[BEARING, j], view[HALF, j], far, around, wide) * view[PRESENCE, j]
-        weight /= 1.0 + (far / parameters[DISTANCE]) ** 2
+        weight = _share_in_sight(one, around, wide) * one.presence
+        weight /= 1.0 + (one.distance / parameters.distance) ** 2
         if j < people and fellow[j]:
-            weight *= parameters[FELLOWS]
+            weight *= parameters.fellows
         prior[j] = weight
         total += weight
-        surest = max(surest, view[PRESENCE, j] if weight > 0.0 else 0.0)
+        surest = max(surest, one.presence if weight > 0.0 else 0.0)
     if not total > 1e-12:
         total, surest = 1.0, 0.0
-    at_any = surest * (1.0 - parameters[NOTHING])
+    at_any = surest * (1.0 - parameters.nothing)
     prior[:-WAYS] *= at_any / total
     prior[-WAYS:] = (1.0 - at_any) / WAYS
 
 
 @compiled
-def spread_of(view: FloatArray, look_std: float, spread: FloatArray) -> None:
+def head_variances(view: Any, look_std: float, spread: FloatArray) -> None:
     """Fill the variances (targets + WAYS,), rad², of heads about targets.
 
     The variance of gaze, and those of the interval that a target covers and of its predicted bearing. Gaze at
     no target has no fixed aim: twice the variance.
     """
-    for j in range(view.shape[1]):
-        spread[j] = look_std**2 + min(view[HALF, j], math.pi) ** 2 / 3.0 + view[BLUR, j]
+    for j in range(len(view)):
+        spread[j] = look_std**2 + min(view[j].half_angle, math.pi) ** 2 / 3.0 + view[j].blur
     spread[-WAYS:] = 2.0 * look_std**2
 
 
@@ -226,15 +294,13 @@ def new_share(since: float) -> float:
 
 
 @compiled
-def go_on(
+def update_belief(
     gap: float,
-    head: FloatArray,
-    likelihood: FloatArray,
-    bearing: FloatArray,
-    spread: FloatArray,
-    prior: FloatArray,
-    parameters: FloatArray,
-    belief: FloatArray,
+    head: float,
+    head_variance: float,
+    targets: Targets,
+    parameters: GazeParameters,
+    belief: Any,
     held: FloatArray,
     drawn: FloatArray,
 ) -> None:
@@ -246,86 +312,109 @@ def go_on(
     Parameters
     ----------
     gap : seconds from the frame before; infinite for the first
-    head : direction, rad, and its variance, rad²; NaN if unknown or with several modes
-    likelihood : (n,) of a head with several modes at each target; 1 for others
-    bearing, spread, prior : (n,) of the targets and `WAYS`; NaN bearing: absent
-    belief : (n, 3) `PROBABILITY`, `MEAN` and `VARIANCE`, filtered in place
+    head, head_variance : direction, rad, and rad²; NaN if unknown or with several modes
+    belief : (n,) of `BELIEF`, filtered in place
     held, drawn : (n,) filled: likelihoods, times the probability of staying, and of being drawn
     """
-    stay = math.exp(-parameters[SWITCHING] * gap)
+    bearing, spread, prior, likelihood = targets
+    stay = math.exp(-parameters.switching * gap)
     hidden = stay * math.exp(-gap / _HIDDEN)
-    correlation = max(parameters[CORRELATION], 1e-9)
+    correlation = max(parameters.correlation_time, 1e-9)
     ways = len(prior) - WAYS
     for j in range(ways):
-        if belief[j, PROBABILITY] == 0.0 and prior[j] > 0.0:
+        if belief[j].probability == 0.0 and prior[j] > 0.0:
             # Gaze in the direction of a target that appears may have been at this target.
             way = ways + math.floor(bearing[j] / _WAY + 0.5) % WAYS
-            belief[j, PROBABILITY] = belief[way, PROBABILITY] * prior[j] / max(prior[way], 1e-12)
-            belief[j, MEAN] = turn(belief[way, MEAN] + bearing[way] - bearing[j])
-            belief[j, VARIANCE] = belief[way, VARIANCE]
+            belief[j].probability = belief[way].probability * prior[j] / max(prior[way], 1e-12)
+            belief[j].mean = wrapped(belief[way].mean + bearing[way] - bearing[j])
+            belief[j].variance = belief[way].variance
     total = 0.0
     for j in range(len(prior)):
+        one = belief[j]
         known = not math.isnan(bearing[j])
         held[j] = (stay if prior[j] > 0.0 else hidden) * likelihood[j] if known else 0.0
         drawn[j] = (1.0 - stay) * prior[j] * likelihood[j]
         fresh_mean, fresh = 0.0, spread[j] if known else 1.0
         # Wide targets have longer memories, else the movement of a head would tell them from narrow ones.
-        memory = math.exp(-gap / correlation * parameters[LOOK_STD] ** 2 / fresh)
-        mean = memory * belief[j, MEAN]
-        variance = memory**2 * belief[j, VARIANCE] + (1.0 - memory**2) * fresh
-        if known and not math.isnan(head[0]):
-            deviation = turn(head[0] - bearing[j])
-            off = turn(deviation - mean)
-            held[j] *= _normal(off, variance + head[1])
-            drawn[j] *= _normal(deviation, fresh + head[1])
-            mean += variance / (variance + head[1]) * off
-            variance *= head[1] / (variance + head[1])
-            fresh_mean = fresh / (fresh + head[1]) * deviation
-            fresh *= head[1] / (fresh + head[1])
-        stayed = belief[j, PROBABILITY] * held[j]
+        memory = math.exp(-gap / correlation * parameters.look_std**2 / fresh)
+        mean = memory * one.mean
+        variance = memory**2 * one.variance + (1.0 - memory**2) * fresh
+        if known and not math.isnan(head):
+            deviation = wrapped(head - bearing[j])
+            off = wrapped(deviation - mean)
+            held[j] *= _normal(off, variance + head_variance)
+            drawn[j] *= _normal(deviation, fresh + head_variance)
+            mean += variance / (variance + head_variance) * off
+            variance *= head_variance / (variance + head_variance)
+            fresh_mean = fresh / (fresh + head_variance) * deviation
+            fresh *= head_variance / (fresh + head_variance)
+        stayed = one.probability * held[j]
         value = stayed + drawn[j]
         share = stayed / value if value > 0.0 else 0.0
-        apart = turn(mean - fresh_mean)
-        belief[j, PROBABILITY] = value
-        belief[j, MEAN] = fresh_mean + share * apart
-        belief[j, VARIANCE] = share * variance + (1.0 - share) * fresh + share * (1.0 - share) * apart**2
+        apart = wrapped(mean - fresh_mean)
+        one.probability = value
+        one.mean = fresh_mean + share * apart
+        one.variance = share * variance + (1.0 - share) * fresh + share * (1.0 - share) * apart**2
         total += value
     for j in range(len(prior)):
-        belief[j, PROBABILITY] = belief[j, PROBABILITY] / total if total > 0.0 else prior[j]
+        belief[j].probability = belief[j].probability / total if total > 0.0 else prior[j]
+
+
+@allocating
+def view_targets(
+    own: Any,
+    neighbours: Any,
+    fellow: BoolArray,
+    places: Any,
+    parameters: GazeParameters,
+    view: Any,
+    targets: Targets,
+) -> None:
+    """Fill the view (people + places,) of a frame, and the targets.
+
+    Parameters
+    ----------
+    own, neighbours : of `PERSON`, and (people,) of it
+    fellow : (people,) True in the observer's group
+    places : (places,) of `VIEW`
+    """
+    people, count = len(neighbours), len(view)
+    view_people(own, neighbours, view[:people])
+    view[people:] = places
+    targets.bearing[:count], targets.bearing[count:] = view.bearing, _WAY * np.arange(WAYS)
+    head_variances(view, parameters.look_std, targets.spread)
+    gaze_prior(view, fellow, parameters, targets.prior)
+    targets.likelihood[:] = 1.0
 
 
 @allocating
 def gaze_over_time(
-    own: FloatArray,
-    neighbours: FloatArray,
-    fellow: np.ndarray,
-    places: FloatArray,
-    weights: FloatArray,
-    means: FloatArray,
-    kappas: FloatArray,
-    noise: FloatArray,
+    own: Any,
+    neighbours: Any,
+    fellow: BoolArray,
+    places: Any,
+    head: HeadMixture,
     gap: FloatArray,
     both: bool,
-    parameters: FloatArray,
+    parameters: GazeParameters,
 ) -> FloatArray:
     """Return (n, targets + 1) gaze probabilities in each frame, filtered or smoothed.
 
     Parameters
     ----------
-    own, neighbours : (n, 3), (n, people, 4) as for `see`; NaN: absent
+    own, neighbours : (n,), (n, people) of `PERSON`; NaN: absent
     fellow : (n, people)
-    places : (n, 5, places) view of the places
-    weights, means, kappas : (n, modes) of the head; NaN weights: unknown
-    noise : (n,) rad², variance of the head if it has a single mode
+    places : (n, places) of `VIEW`
     gap : (n,) seconds from the frame before
     """
     n, people = fellow.shape
-    count = people + places.shape[2]
+    count = people + places.shape[1]
     size = count + WAYS
-    view, prior, spread, bearing = np.empty((5, count)), np.empty(size), np.empty(size), np.empty(size)
-    bearing[count:] = _WAY * np.arange(WAYS)
+    view = np.empty(count, VIEW)
+    targets = Targets(np.empty(size), np.empty(size), np.empty(size), np.empty(size))
     held, drawn, found = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
-    belief, likelihood, head = np.zeros((size, 3)), np.ones(size), np.empty(2)
+    belief: Any = np.zeros(size, BELIEF)
+    likelihood = targets.likelihood
     since, elapsed = math.inf, 0.0
     for f in range(n):
         before = gap[f] if f > 0 else math.inf
@@ -333,25 +422,21 @@ def gaze_over_time(
         elapsed += gap[f] if f > 0 else 0.0
         if not both and elapsed < SETTLING - TIME_TOLERANCE:
             before = since = math.inf
-        see(own[f], neighbours[f], view[:, :people])
-        view[:, people:] = places[f]
-        bearing[:count] = view[BEARING]
-        spread_of(view, parameters[LOOK_STD], spread)
-        prior_of_gaze(view, fellow[f], parameters, prior)
-        head[:] = math.nan
-        likelihood[:] = 1.0
-        if not math.isnan(weights[f, 0]):
+        view_targets(own[f], neighbours[f], fellow[f], places[f], parameters, view, targets)
+        direction = variance = math.nan
+        if not math.isnan(head.weights[f, 0]):
             share = new_share(since)
             since = 0.0
-            if weights.shape[1] > 1:
-                densities(bearing, spread, weights[f], means[f], kappas[f], likelihood)
+            if head.weights.shape[1] > 1:
+                modes = head.weights[f], head.means[f], head.kappas[f]
+                densities(targets.bearing, targets.spread, *modes, likelihood)
                 likelihood[:] = likelihood**share
             else:
-                head[0], head[1] = means[f, 0], noise[f] / share
-        go_on(before, head, likelihood, bearing, spread, prior, parameters, belief, held[f], drawn[f])
-        found[f] = belief[:, PROBABILITY]
+                direction, variance = head.means[f, 0], head.variance[f] / share
+        update_belief(before, direction, variance, targets, parameters, belief, held[f], drawn[f])
+        found[f] = belief.probability
     if both:
-        _look_back(held, drawn, found)
+        _smooth_backward(held, drawn, found)
     return with_nothing(found, count)
 
 
@@ -366,7 +451,7 @@ def with_nothing(found: FloatArray, count: int) -> FloatArray:
 
 
 @allocating
-def _look_back(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
+def _smooth_backward(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
     """Backward pass over the chain: turn filtered into smoothed probabilities."""
     n, count = found.shape
     back, smoothed = np.ones(count), np.empty(count)
@@ -386,81 +471,68 @@ def _look_back(held: FloatArray, drawn: FloatArray, found: FloatArray) -> None:
 
 
 @compiled
-def _near(everybody: FloatArray, i: int, j: int) -> bool:
-    x, y = everybody[j, 0] - everybody[i, 0], everybody[j, 1] - everybody[i, 1]
+def _near(people: Any, i: int, j: int) -> bool:
+    x, y = people[j].x - people[i].x, people[j].y - people[i].y
     return i != j and x * x + y * y < REACH * REACH
 
 
 @allocating
 def gaze_of_frame(
-    ids: IntArray,
-    everybody: FloatArray,
-    group: IntArray,
-    rows: IntArray,
-    gap: FloatArray,
-    head: FloatArray,
-    places: FloatArray,
-    was: IntArray,
-    first_before: IntArray,
-    target_before: IntArray,
-    person_before: FloatArray,
-    elsewhere_before: FloatArray,
-    parameters: FloatArray,
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Step of all observers' filters: first, target, person and elsewhere, as in `_Known`.
+    everybody: Everybody, observers: Observers, places: Any, before: Beliefs, parameters: GazeParameters
+) -> Beliefs:
+    """Step of all observers' filters from their beliefs ``before``.
 
-    Parameters
-    ----------
-    ids, everybody, group : (m,) identity, ascending, (m, 4) as for `see`, and group of all people
-    rows : (n,) of these, the observers
-    gap : (n, 2) seconds from each one's frame before, and from the last observed head; infinite without one
-    head : (n, 2) direction, rad, and its variance, rad²; NaN direction: unknown
-    places : (n, 5, places) view of the places
-    was : (n,) index of each among the previous observers, −1: none; the following arguments are theirs
+    ``places``: (n, places) of `VIEW`
     """
-    n, count = len(rows), places.shape[2]
+    ids, people, group = everybody
+    n, count = len(observers.row), places.shape[1]
     first = np.zeros(n + 1, dtype=np.int64)
     for i in range(n):
         near = 0
         for j in range(len(ids)):
-            near += _near(everybody, rows[i], j)
+            near += _near(people, observers.row[i], j)
         first[i + 1] = first[i] + near
-    target, person = np.empty(first[-1], dtype=np.int64), np.empty((first[-1], 3))
-    elsewhere = np.empty((n, count + WAYS, 3))
+    target, person = np.empty(first[-1], dtype=np.int64), np.empty(first[-1], BELIEF)
+    elsewhere = np.empty((n, count + WAYS), BELIEF)
     size = len(ids) + count + WAYS
-    neighbours, fellow = np.empty((len(ids), 4)), np.empty(len(ids), dtype=np.bool_)
-    room, all_views, beliefs = np.empty((5, size)), np.empty((5, size)), np.empty((size, 3))
-    likelihood, scaled = np.ones(size), np.empty(2)
-    ways = _WAY * np.arange(WAYS)
+    neighbours, fellow = np.empty(len(ids), PERSON), np.empty(len(ids), dtype=np.bool_)
+    views, beliefs = np.empty(size, VIEW), np.empty(size, BELIEF)
+    bearing, spread, prior, likelihood = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    held, drawn = np.empty(size), np.empty(size)
     for i in range(n):
-        at, people, row = first[i], first[i + 1] - first[i], rows[i]
-        targets, last = people + count, people + count + WAYS
-        prior, spread, bearing = room[0, :last], room[1, :last], room[2, :last]
-        held, drawn = room[3, :last], room[4, :last]
-        view, belief = all_views[:, :targets], beliefs[:last]
+        at, nearby, row = first[i], first[i + 1] - first[i], observers.row[i]
+        last = nearby + count + WAYS
+        belief = beliefs[:last]
         k = 0
         for j in range(len(ids)):
-            if _near(everybody, row, j):
-                target[at + k], neighbours[k] = ids[j], everybody[j]
+            if _near(people, row, j):
+                target[at + k], neighbours[k] = ids[j], people[j]
                 fellow[k] = group[row] >= 0 and group[row] == group[j]
                 k += 1
-        see(everybody[row], neighbours[:people], view[:, :people])
-        view[:, people:] = places[i]
-        bearing[:targets], bearing[targets:] = view[BEARING], ways
-        spread_of(view, parameters[LOOK_STD], spread)
-        prior_of_gaze(view, fellow[:people], parameters, prior)
-        belief[:] = 0.0
-        p = was[i]
+        targets = Targets(bearing[:last], spread[:last], prior[:last], likelihood[:last])
+        view = views[: nearby + count]
+        view_targets(people[row], neighbours[:nearby], fellow[:nearby], places[i], parameters, view, targets)
+        for k in range(last):
+            belief[k].probability = belief[k].mean = belief[k].variance = 0.0
+        p = observers.previous[i]
         if p >= 0:
-            b, end = first_before[p], first_before[p + 1]
-            for k in range(people):
-                while b < end and target_before[b] < target[at + k]:
+            b, end = before.first[p], before.first[p + 1]
+            for k in range(nearby):
+                while b < end and before.target[b] < target[at + k]:
                     b += 1
-                if b < end and target_before[b] == target[at + k]:
-                    belief[k] = person_before[b]
-            belief[people:] = elsewhere_before[p]
-        scaled[0], scaled[1] = head[i, 0], head[i, 1] / new_share(gap[i, 1])
-        of_head = likelihood[:last]
-        go_on(gap[i, 0], scaled, of_head, bearing, spread, prior, parameters, belief, held, drawn)
-        person[at : at + people], elsewhere[i] = belief[:people], belief[people:]
-    return first, target, person, elsewhere
+                if b < end and before.target[b] == target[at + k]:
+                    belief[k] = before.person[b]
+            belief[nearby:] = before.elsewhere[p]
+        variance = observers.head_variance[i] / new_share(observers.head_gap[i])
+        update_belief(
+            observers.gap[i],
+            observers.head[i],
+            variance,
+            targets,
+            parameters,
+            belief,
+            held[:last],
+            drawn[:last],
+        )
+        person[at : at + nearby], elsewhere[i] = belief[:nearby], belief[nearby:]
+    return Beliefs(first, target, person, elsewhere)

@@ -54,11 +54,6 @@ class GroupParameters(ParameterFile):
     def __post_init__(self) -> None:
         check_numbers(self)
 
-    @property
-    def seconds(self) -> tuple[float, float]:
-        """The times over which a pair's values are averaged."""
-        return self.persistence_seconds, self.memory_seconds
-
 
 DEFAULT = GroupParameters()
 """O-spaces as in Setti et al. (2015) and Cristani et al. (2011); see docs/behaviour.md."""

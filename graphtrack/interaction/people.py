@@ -21,7 +21,7 @@ from graphtrack.geometry.angles import (
     mean_resultant_length,
     unit,
 )
-from graphtrack.interaction.gaze_model import half_angle
+from graphtrack.interaction.gaze_model import half_angles
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_records, expected_number, parse_number
 from graphtrack.saved import Saved
@@ -383,7 +383,7 @@ class Place:
         away = self.centre - position
         far, bearing = np.linalg.norm(away, axis=1), direction(away)
         if self.radius > 0.0:
-            return bearing, half_angle(self.radius, far), far
+            return bearing, half_angles(self.radius, far), far
         corners = direction(self.outline - position[:, None])
         turned = difference(corners, bearing[:, None])
         low, high = turned.min(axis=1), turned.max(axis=1)

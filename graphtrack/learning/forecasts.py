@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, lead, mean_turn, spreads
+from graphtrack.forecasting.forecaster import JUDGED, Expected, Forecaster, mean_turn, spreads, turn_to_head
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters
 from graphtrack.forecasting.paths import EVERY, LAGS
 from graphtrack.forecasting.recorded import PeopleOfFrame, frames_of
@@ -316,13 +316,13 @@ class Heads:
     """Walking people with observed heads."""
 
     velocity: ComplexArray  # (n,)
-    angle: FloatArray  # (n,) as `lead` takes it
-    sure: FloatArray  # (n,) as `lead` takes it
+    angle: FloatArray  # (n,) as `turn_to_head` takes it
+    sure: FloatArray  # (n,) as `turn_to_head` takes it
     moved: ComplexArray  # (n, H) displacements at `_HEAD_TIMES`
 
     def error(self, parameters: ForecastParameters) -> float:
         """Mean error, metres."""
-        turned = lead(self.angle, self.sure, parameters)[:, None] * mean_turn(_HEAD_TIMES, parameters)
+        turned = turn_to_head(self.angle, self.sure, parameters)[:, None] * mean_turn(_HEAD_TIMES, parameters)
         going = self.velocity[:, None] * _HEAD_TIMES * np.exp(1j * turned)
         return float(np.abs(self.moved - going).mean())
 
@@ -332,7 +332,7 @@ def heads_of(of: ForecastScene, parameters: ForecastParameters) -> Heads | None:
     parameters = replace(parameters, companion_weight=0.0)
     parts: list[tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]] = []
     for forecaster, people, actual, _ in forecasts(of, parameters):
-        position, velocity, head = forecaster.going(people)
+        position, velocity, head = forecaster.motion(people)
         parts.append((velocity, np.angle(head * velocity.conj()), np.abs(head), actual - position[:, None]))
     if not parts:
         return None

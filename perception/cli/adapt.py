@@ -19,11 +19,13 @@ from graphtrack.cli.console import emit, print_table, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.options import (
+    PRINTED,
     CameraOptions,
+    Reports,
     VideoOrFolder,
     check_output_paths,
-    print_skipped,
     read_given_boxes,
+    report_skipped,
 )
 from perception.cli.searching import PeopleSearch, search_journals
 
@@ -68,7 +70,7 @@ def calibrate(
     people = read_boxes(boxes, refused.setdefault)
     found = found_view(people, frames.size(), np.random.default_rng(seed), person_height)
     found.write(output)
-    print_skipped(refused)
+    report_skipped(refused)
     emit(described(found))
     for note in found.notes:
         emit(f"  note: {note}")
@@ -98,6 +100,7 @@ def adapt_models(
     refuse: Callable[[str], object],
     *,
     seed: int = 0,
+    reports: Reports = PRINTED,
 ) -> tuple[CameraModels | None, str]:
     """Fit a camera's own models to a recording; return them and a sentence about them.
 
@@ -114,15 +117,15 @@ def adapt_models(
     rng = np.random.default_rng(seed)
     try:
         recordings = [Recording(frames, people, clock)]
-        models = adapted(recordings, camera, PackageModels.load(), rng, progress_bar, refuse).models
+        models = adapted(recordings, camera, PackageModels.load(), rng, reports.progress, refuse).models
     except TooFewWalkers as error:
         sentence = f"the package's models are used: {error.found}"
-        emit(f"  note: {sentence}")
+        reports.emit(f"  note: {sentence}")
         return None, sentence
     models.card = replace(models.card, parameters={**models.card.parameters, "recording": key})
     models.save(path)
     sentence = _sentence(models)
-    emit(sentence)
+    reports.emit(sentence)
     return models, sentence
 
 
@@ -209,7 +212,7 @@ def adapt(
         found.models.save(output)
         if write_model is not None:
             found.models.graph(Model.named(None)).save(write_model)
-    print_skipped(refused)
+    report_skipped(refused)
     emit(
         f"fitted to {len(found.labels)} boxes of {found.people} walking people "
         f"in {counted(found.labels.tracks, 'track')}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -13,21 +14,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, progress_bar
+from graphtrack.errors import InputError
+from graphtrack.io.text import parse_number
 from perception.cli.options import (
+    PRINTED,
     CameraOptions,
     Render,
+    Reports,
     VideoOrFolder,
     check_output_paths,
     in_time,
-    print_camera_note,
-    print_skipped,
-    print_written,
+    report_camera,
+    report_skipped,
+    report_written,
 )
 
 if TYPE_CHECKING:
-    from perception.follow.guidance import GraphGuide
+    from perception.following.guidance import GraphGuide
     from perception.images.pixels import Image
+    from perception.observation.tables import Observations
     from perception.trackers.tracker import Box, BoxEstimate
 
 
@@ -67,48 +72,97 @@ def follow(
     background : Image, or folder of images, without the person (furniture), for sigma-pi; can be given
         several times.
     """
-    from graphtrack.errors import InputError
-    from perception.drawing.people import draw
-    from perception.follow import following
-    from perception.images.frames import FrameSource
-    from perception.images.pixels import pictures
-    from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
-
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
-    never = {f"--background {p}": p for given in background or () for p in FrameSource.files(given)}
+    follow_target(
+        source,
+        output,
+        camera,
+        tracker=tracker,
+        init=None if init is None else parse_box(init),
+        guided=guided,
+        render=render,
+        particles=particles,
+        seed=seed,
+        foot_at=foot_at,
+        middle_at=middle_at,
+        pan_limit=pan_limit,
+        as_in_the_paper=as_in_the_paper,
+        background=background or (),
+        reports=PRINTED,
+    )
+
+
+def parse_box(text: str) -> Box:
+    """Parse a box from ``left,top,width,height``; trackers refuse invalid boxes."""
+    values = [parse_number(cell) for cell in text.split(",")]
+    numbers = [value for value in values if value is not None]
+    if len(values) != 4 or len(numbers) != 4:
+        raise InputError(f"a box {text!r}", "LEFT,TOP,WIDTH,HEIGHT in pixels")
+    left, top, width, height = numbers
+    return left, top, width, height
+
+
+def follow_target(
+    source: Path,
+    output: Path | None,
+    camera: CameraOptions,
+    *,
+    tracker: str,
+    init: Box | None,
+    guided: bool,
+    render: Path | None,
+    particles: int | None,
+    seed: int,
+    foot_at: float | None,
+    middle_at: float | None,
+    pan_limit: float | None,
+    as_in_the_paper: bool,
+    background: Sequence[Path],
+    reports: Reports,
+) -> Observations:
+    """Return the observations of one target, and write them if a file is given; see `follow`."""
+    from graphtrack.io.read_write import write_table
+    from graphtrack.tracks.track import ReadSummary
+    from perception.drawing.people import draw
+    from perception.following import run as following
+    from perception.images.frames import FrameSource
+    from perception.images.pixels import pictures
+    from perception.observation.tables import Observations
+    from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
+
+    never = {f"--background {p}": p for given in background for p in FrameSource.files(given)}
     check_output_paths({"--output": output}, render, source, {**camera.files, **never})
-    box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
     clock, ground = camera.clock(frames), camera.on_ground()
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
-    images = [image for given in background or () for image in following.background_images(given)]
+    images = [image for given in background for image in following.background_images(given)]
     follower = make_tracker(tracker, particles, seed, parameters, background=images)
     of_heads = tracker in OF_HEADS
     on_ground = following.box_cameras(ground, of_heads=of_heads, foot_at=foot_at, middle_at=middle_at)
 
     def guide(first: Box) -> GraphGuide:
-        from perception.follow.guidance import GraphGuide
+        from perception.following.guidance import GraphGuide
 
         return GraphGuide(on_ground(first), follower.pan_classes, clock=clock)
 
     refused: list[str] = []
     with (
-        progress_bar(frames.count, "frames") as advance,
-        nullcontext() if render is None else pictures(render, clock.rate) as write,
+        reports.progress(frames.count, "frames") as advance,
+        nullcontext() if render is None else pictures(render, clock.rate) as picture,
     ):
         begun = time.perf_counter()
 
         def show(number: int, image: Image, estimate: BoxEstimate) -> None:
-            if write is not None:
-                write(number, draw(image, number, estimate, follower.pan_classes))
+            if picture is not None:
+                picture(number, draw(image, number, estimate, follower.pan_classes))
 
         found = following.follow(
             follower,
             frames,
-            partial(_start, box, tracker),
+            partial(_start, init, tracker),
             guide=guide if guided else None,
             refuse=refused.append,
             advance=advance,
@@ -117,19 +171,21 @@ def follow(
         seconds = time.perf_counter() - begun
         first = next(item.estimate.box for item in found if item.estimate.found)
         track = following.to_track(found, on_ground(first), follower.pan_classes, clock)
-        following.write_boxes(found, track, output)
-    print_skipped(refused)
-    for note in following.notes(found, track):
-        emit(f"  note: {note}")
-    print_camera_note(ground)
-    emit(f"followed {in_time(len(found), seconds)}")
-    print_written(output, render)
+        table, notes = following.box_table(found, track), following.notes(found, track)
+        if output is not None:
+            write_table(table, output)
+    report_skipped(refused, reports)
+    for note in notes:
+        reports.emit(f"  note: {note}")
+    report_camera(ground, reports)
+    reports.emit(f"followed {in_time(len(found), seconds)}")
+    report_written((output, render), reports)
+    return Observations(table, ReadSummary("video", len(found), {}, (*refused, *notes)))
 
 
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
     """Return the initial box; a head is detected if the tracker needs one and no box is given."""
-    from graphtrack.errors import InputError
-    from perception.follow.following import find_head
+    from perception.following.run import find_head
 
     if box is not None or tracker == "sigma-pi":
         return box

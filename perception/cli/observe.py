@@ -5,29 +5,32 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, progress_bar, write_tracks
+from graphtrack.cli.console import input_warnings_as_notes
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.adapt import adapt_models, check_adapt
 from perception.cli.options import (
+    PRINTED,
     Boxes,
     CameraOptions,
     FirstFrame,
     Render,
+    Reports,
     VideoOrFolder,
     check_output_paths,
     in_time,
-    print_camera_note,
-    print_skipped,
-    print_written,
     read_given_boxes,
+    report_camera,
+    report_skipped,
+    report_written,
     stamp_of,
     stamp_of_camera,
 )
@@ -48,9 +51,9 @@ if TYPE_CHECKING:
     from perception.detection.yolo import YoloNetwork
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
-    from perception.observe.live import LiveObserver
-    from perception.observe.pipeline import FrameObservation, Models
-    from perception.observe.tables import ObservedTracks
+    from perception.observation.live import LiveObserver
+    from perception.observation.pipeline import FrameObservation, Models
+    from perception.observation.tables import Observations, ObservedTracks
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class ModelOptions:
         """The models."""
         from perception.adaptation.models import CameraModels
         from perception.models import load_classifier, load_head_localiser, load_keypoint_pose
-        from perception.observe.pipeline import Models
+        from perception.observation.pipeline import Models
 
         return Models(
             load_head_localiser(self.head_localiser_model),
@@ -142,63 +145,114 @@ def observe(
     appearance : Write appearance descriptors (appearance_0 ...), which distinguish people; on for boxes
         without identities, else off.
     """
-    from graphtrack.io.read_write import check_table_name
-    from perception.images.frames import FrameSource
-    from perception.observe.live import LiveObserver
-
-    model.check(network.keypoints)
-    for name, path in (("--detector", network.detector), ("--write-boxes", write_boxes_to)):
-        if boxes is not None and path is not None:
-            raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
-    streamed = str(output) == "-"
-    if model.adapt:
-        given_models = (*model.parts, model.camera_models, network.keypoints)
-        check_adapt(streamed, camera.homography or camera.calibration, given_models)
-    if streamed:
-        for name, path in (("--write-boxes", write_boxes_to), ("--render", render)):
-            if path is not None:
-                raise InputError(f"{name} with -o -", "a file as the output: rows are written frame by frame")
-    outputs: dict[str, Path | Sequence[Path] | None] = {
-        "--output": output,
-        "the journals of --output": [*search_journals(output), *_output_paths(output)],
-        "--write-boxes": write_boxes_to,
-    }
-    check_output_paths(
-        {} if streamed else outputs,
-        render,
+    job = ObserveJob(
         source,
-        {"--boxes": boxes, **camera.files, **model.files, **network.files},
-        table=None if streamed else output,
-    )
-    frames = FrameSource.open(source)
-    refused: dict[str, None] = {}  # undecodable frames may be reported twice
-    networks = network.load(frames)
-    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
-    identified = given is not None and (not given or given[0].identified)
-    if not (identified or streamed):
-        check_table_name(output)
-    with_appearance = not identified if appearance is None else appearance
-    models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
-    ground = camera.on_ground()
-    models = models.seeing(ground, frames.size)
-    if streamed:
-        observer = LiveObserver(models, ground, camera.clock(frames), identified=identified)
-        _stream(frames, given, observer, refused, networks)
-        return
-    _observe_file(
-        frames,
-        given,
-        models,
-        networks,
-        model,
-        camera,
         output,
-        identified=identified,
-        causal=causal,
-        render=render,
+        camera,
+        network,
+        model,
+        boxes=boxes,
+        boxes_first_frame=boxes_first_frame,
         write_boxes_to=write_boxes_to,
-        refused=refused,
+        render=render,
+        causal=causal,
+        appearance=appearance,
+        reports=PRINTED,
     )
+    with input_warnings_as_notes():
+        if job.is_streamed:
+            job.stream()
+        else:
+            job.run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """A recording with what its options name, opened and checked."""
+
+    frames: FrameSource
+    networks: OwnNetworks
+    people: list[PersonBox] | None  # given boxes
+    identified: bool  # whether these have identities
+    models: Models
+    refused: dict[str, None]  # reasons; undecodable frames may be reported twice
+
+
+@dataclass(frozen=True, eq=False)
+class ObserveJob:
+    """A call of `observe`, from the shell or from Python; ``output`` None: no file is written."""
+
+    source: Path
+    output: Path | None
+    camera: CameraOptions
+    network: NetworkOptions
+    model: ModelOptions
+    _: KW_ONLY
+    boxes: Path | None
+    boxes_first_frame: int | None
+    write_boxes_to: Path | None
+    render: Path | None
+    causal: bool
+    appearance: bool | None
+    reports: Reports
+
+    @property
+    def is_streamed(self) -> bool:
+        """Return True if rows go to standard output."""
+        return str(self.output) == "-"
+
+    def _open(self) -> _Opened:
+        """Open the recording and what the options name; options that exclude each other are refused."""
+        from graphtrack.io.read_write import check_table_name
+        from perception.images.frames import FrameSource
+
+        camera, network, model, boxes = self.camera, self.network, self.model, self.boxes
+        model.check(network.keypoints)
+        for name, path in (("--detector", network.detector), ("--write-boxes", self.write_boxes_to)):
+            if boxes is not None and path is not None:
+                raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
+        if model.adapt:
+            given_models = (*model.parts, model.camera_models, network.keypoints)
+            check_adapt(self.is_streamed, camera.homography or camera.calibration, given_models)
+        written = {"--write-boxes": self.write_boxes_to, "--render": self.render}
+        if self.is_streamed:
+            options.refuse(written, "with -o -", "a file as the output: rows are written frame by frame")
+        output = None if self.is_streamed else self.output
+        outputs: dict[str, Path | Sequence[Path] | None] = {
+            "--output": output,
+            "--write-boxes": self.write_boxes_to,
+        }
+        if output is not None:
+            outputs["the journals of --output"] = [*search_journals(output), *_output_paths(output)]
+        inputs = {"--boxes": boxes, **camera.files, **model.files, **network.files}
+        check_output_paths(outputs, self.render, self.source, inputs, table=output)
+        frames = FrameSource.open(self.source)
+        refused: dict[str, None] = {}
+        networks = network.load(frames)
+        people = read_given_boxes(boxes, frames, self.boxes_first_frame, refused.setdefault, self.reports)
+        identified = people is not None and (not people or people[0].identified)
+        if output is not None and not identified:
+            check_table_name(output)
+        with_appearance = not identified if self.appearance is None else self.appearance
+        models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
+        models = models.seeing(camera.on_ground(), frames.size)
+        return _Opened(frames, networks, people, identified, models, refused)
+
+    def stream(self) -> None:
+        """Write the rows of each frame to standard output."""
+        from perception.observation.live import LiveObserver
+
+        opened = self._open()
+        clock = self.camera.clock(opened.frames)
+        observer = LiveObserver(opened.models, self.camera.on_ground(), clock, identified=opened.identified)
+        _stream(opened.frames, opened.people, observer, opened.refused, opened.networks)
+
+    def run(self) -> Observations:
+        """Return the observations, and write them to the output."""
+        opened = self._open()
+        with TemporaryDirectory() as folder:
+            place = Path(folder) / "observations" if self.output is None else self.output
+            return _observed(self, opened, place)
 
 
 def _output_paths(output: Path) -> list[Path]:
@@ -206,52 +260,47 @@ def _output_paths(output: Path) -> list[Path]:
     return [output.with_name(f"{output.name}.{name}") for name in ("keypoints", "journal", "camera.npz")]
 
 
-def _observe_file(
-    frames: FrameSource,
-    people: list[PersonBox] | None,
-    models: Models,
-    networks: OwnNetworks,
-    chosen: ModelOptions,
-    options_of_camera: CameraOptions,
-    output: Path,
-    *,
-    identified: bool,
-    causal: bool,
-    render: Path | None,
-    write_boxes_to: Path | None,
-    refused: dict[str, None],
-) -> None:
-    """Detect and observe people, and write the table; journals are kept next to the output."""
-    from graphtrack.io.read_write import write_table
+def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
+    """Detect and observe people, and write the table, if asked for; journals are kept next to ``place``."""
+    from graphtrack.io.read_write import write, write_table
+    from graphtrack.tracks.track import ReadSummary, to_columns
     from perception.detection.boxes import FrameDetections, write_boxes
     from perception.images.pixels import is_video
-    from perception.observe.journal import FrameJournal, while_unfinished
-    from perception.observe.pipeline import FrameObservation
-    from perception.observe.tables import to_detections, to_tracks
+    from perception.observation.journal import FrameJournal, while_unfinished
+    from perception.observation.pipeline import FrameObservation
+    from perception.observation.tables import Observations, to_detections, to_tracks
 
+    frames, people, models, networks = opened.frames, opened.people, opened.models, opened.networks
+    identified, refused, reports = opened.identified, opened.refused, job.reports
+    output, render, causal, chosen = job.output, job.render, job.causal, job.model
     refuse, given = refused.setdefault, people is not None
-    camera, clock = options_of_camera.on_ground(), options_of_camera.clock(frames)
-    points_place, frames_place, models_place = _output_paths(output)
+    camera, clock = job.camera.on_ground(), job.camera.clock(frames)
+    points_place, frames_place, models_place = _output_paths(place)
     one_size = render is not None and is_video(render)
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
         if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
             asked = (networks.asked,)
-            search = PeopleSearch(frames, camera, clock, output, asked, causal, one_size, networks.detector)
+            detector = networks.detector
+            search = PeopleSearch(frames, camera, clock, place, asked, causal, one_size, detector, reports)
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:
             key = key_of(frames.stamp(), networks.asked)
             points = unfinished.enter_context(FrameJournal(points_place, key, FrameDetections))
-            people = find_keypoints(frames, networks, people, points, refuse, one_size=one_size)
+            people = find_keypoints(
+                frames, networks, people, points, refuse, one_size=one_size, reports=reports
+            )
             searched |= frozenset(points)
         assert people is not None
-        if write_boxes_to is not None:
-            write_boxes(people, write_boxes_to, first=frames.first)
+        if job.write_boxes_to is not None:
+            write_boxes(people, job.write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
         if chosen.adapt and camera is not None:
             unfinished.enter_context(while_unfinished(models_place))
             own = [key_of(frames.stamp(), clock, people, stamp_of_camera(camera))]
-            of_camera, _ = adapt_models(models_place, str(own[0]), frames, people, camera, clock, refuse)
+            of_camera, _ = adapt_models(
+                models_place, str(own[0]), frames, people, camera, clock, refuse, reports=reports
+            )
             models = replace(models, of_camera=of_camera).seeing(camera, frames.size)
         looked = time.perf_counter()
         leaning = None if models.view is None else stamp_of_camera(camera)
@@ -260,28 +309,35 @@ def _observe_file(
         journal = unfinished.enter_context(FrameJournal(frames_place, key, FrameObservation))
         # Frames without detections need no second pass.
         empty = frozenset() if given else searched - {item.frame for item in people}
-        count = look_at_people(frames, people, models, journal, refuse, empty, one_size=one_size)
+        count = look_at_people(
+            frames, people, models, journal, refuse, empty, one_size=one_size, reports=reports
+        )
         seconds = time.perf_counter() - looked
         frames_observed = journal, models.head_classes, camera, clock
         drawn = identified or render is not None
         observed = to_tracks(*frames_observed, causal=causal) if drawn else None
         if not identified:
             alone = to_detections(*frames_observed, causal=causal)
-            write_table(alone.columns, output)
-            left_out, summary = alone.refused, counted(len(alone.number), "detection")
+            if output is not None:
+                write_table(alone.columns, output)
+            columns, left_out, summary = alone.columns, alone.refused, counted(len(alone.number), "detection")
         if observed is not None and render is not None:
-            _render(frames, observed, journal, render, clock.rate)
+            _render(frames, observed, journal, render, clock.rate, reports)
         if observed is not None and identified:
             tracks = observed.tracks
-            write_tracks(tracks, output)
-            left_out = tracks.summary.refused
+            if output is not None:
+                write(tracks, output)
+            columns, left_out = to_columns(tracks), tracks.summary.refused
             summary = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
-    print_skipped(refused)
+    report_skipped(refused, reports)
     for reason, times in left_out.items():
-        emit(f"  refused {times}: {reason}")
-    print_camera_note(camera)
-    emit(f"observed {summary}; {in_time(count, seconds)}")
-    print_written(output, render)
+        reports.emit(f"  refused {times}: {reason}")
+    report_camera(camera, reports)
+    reports.emit(f"observed {summary}; {in_time(count, seconds)}")
+    report_written((output, render), reports)
+    rows = len(columns["track_id"])
+    beyond = sum(left_out.values())
+    return Observations(columns, ReadSummary("video", rows + beyond, left_out, tuple(refused)))
 
 
 def _stream(
@@ -328,8 +384,8 @@ def _stream(
         people = people_in(frame.number, frame.image)
         for row in observer.rows(frame.image, frame.number, people, refused.setdefault):
             give(row)
-    print_skipped(refused)
-    print_camera_note(observer.camera)
+    report_skipped(refused)
+    report_camera(observer.camera, PRINTED)
 
 
 def _render(
@@ -338,6 +394,7 @@ def _render(
     frames_observed: Mapping[int, FrameObservation],
     path: Path,
     fps: float,
+    reports: Reports,
 ) -> None:
     """Decode the frames again, now that all tracks are known, and draw the observations."""
     from perception.drawing.people import draw_people, people_by_frame
@@ -345,7 +402,7 @@ def _render(
 
     people, camera = people_by_frame(observed, frames_observed), observed.tracks.camera
     assert camera is not None
-    every = frames.reported(lambda number: True, frames.count, progress_bar, unit="frames drawn")
+    every = frames.reported(lambda number: True, frames.count, reports.progress, unit="frames drawn")
     with pictures(path, fps) as write_picture, every as decoded:
         for frame in decoded:
             if frame.image is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,14 +12,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import Clock, FrameSource
+    from perception.images.frames import Clock, FrameSource, Progress
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Receivers of the messages and of the progress of a run; by default the log, and nobody."""
+
+    emit: Callable[[str], object] = logging.getLogger("graphtrack").info
+    progress: Progress = lambda total, unit: nullcontext(lambda count: None)
+
+
+PRINTED = Reports(emit, progress_bar)
+"""Reports of the commands: messages and progress bars on standard error."""
 
 _SHOWN = 5
 _FPS = 25.0
@@ -88,9 +102,13 @@ class CameraOptions:
 
 
 def read_given_boxes(
-    boxes: Path | None, frames: FrameSource, named: int | None, refuse: Callable[[str], object]
+    boxes: Path | None,
+    frames: FrameSource,
+    named: int | None,
+    refuse: Callable[[str], object],
+    reports: Reports = PRINTED,
 ) -> list[PersonBox] | None:
-    """Read the boxes of a recording, if any, and print a note on how their frame numbers are matched.
+    """Read the boxes of a recording, if any, and emit a note on how their frame numbers are matched.
 
     ``named``: number of the recording's first frame in the file; None: see `read_boxes`
     """
@@ -101,7 +119,7 @@ def read_given_boxes(
             raise InputError("--boxes-first-frame without --boxes", "both, or neither")
         return None
     return read_boxes(
-        boxes, refuse, first=frames.first, named=named, note=lambda line: emit(f"  note: {line}")
+        boxes, refuse, first=frames.first, named=named, note=lambda line: reports.emit(f"  note: {line}")
     )
 
 
@@ -163,18 +181,19 @@ def skipped(reasons: Iterable[str]) -> list[str]:
     return [*every[:_SHOWN], f"skipped: {more} more"] if more > 0 else every
 
 
-def print_skipped(reasons: Iterable[str]) -> None:
-    """Print skipped input."""
+def report_skipped(reasons: Iterable[str], reports: Reports = PRINTED) -> None:
+    """Emit skipped input."""
     for line in skipped(reasons):
-        emit(f"  {line}")
+        reports.emit(f"  {line}")
 
 
-def print_camera_note(camera: GroundCamera | None) -> None:
-    """Print a note on the unit of positions if no camera is known."""
+def report_camera(camera: GroundCamera | None, reports: Reports) -> None:
+    """Emit a note on the unit of positions if no camera is known."""
     if camera is None:
-        emit("  note: no camera is known: positions are pixels times a scale")
+        reports.emit("  note: no camera is known: positions are pixels times a scale")
 
 
-def print_written(output: Path, render: Path | None) -> None:
-    """Print the paths of the outputs."""
-    emit(f"wrote {output}" + ("" if render is None else f" and {render}"))
+def report_written(paths: Iterable[Path | None], reports: Reports) -> None:
+    """Emit the paths of the outputs."""
+    if written := [str(path) for path in paths if path is not None]:
+        reports.emit(f"wrote {' and '.join(written)}")

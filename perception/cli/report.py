@@ -10,15 +10,16 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.adapt import PersonHeight, adapt_models, described
 from perception.cli.observe import ModelOptions
 from perception.cli.options import (
+    PRINTED,
     Boxes,
     CameraOptions,
     FirstFrame,
+    Reports,
     VideoOrFolder,
     read_given_boxes,
     skipped,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from graphtrack.tracks.track import TrackSet
     from perception.detection.boxes import PersonBox
     from perception.images.frames import Clock, FrameSource
-    from perception.report import ReportFolder
+    from perception.report_folder import ReportFolder
 
 _STAGES = 7
 
@@ -63,15 +64,47 @@ def report(
         offline. chain, isam2, fixed-lag: the graph, online.
     view : Show the result in Rerun.
     """
-    from graphtrack.io.atomic import check_distinct
-    from perception.adaptation.labels import check_camera
-    from perception.images.frames import FrameSource
-    from perception.report import FILES, STAGES, ReportFolder, check_folder
-
     if view:
         showing.target()
     elif showing.save is not None or showing.connect is not None:
         raise InputError("--save" if showing.connect is None else "--connect", "--view with it")
+    run = report_folder(
+        source,
+        output,
+        camera,
+        boxes=boxes,
+        boxes_first_frame=boxes_first_frame,
+        adapt=adapt,
+        method=method,
+        person_height=person_height,
+        seed=seed,
+        other_output=showing.save,
+        reports=PRINTED,
+    )
+    if view:
+        run.view(showing)
+
+
+def report_folder(
+    source: Path,
+    output: Path,
+    camera: CameraOptions,
+    *,
+    boxes: Path | None,
+    boxes_first_frame: int | None,
+    adapt: bool,
+    method: str,
+    person_height: float,
+    seed: int,
+    reports: Reports,
+    other_output: Path | None = None,
+) -> _Run:
+    """Write or continue the folder of a report; see `report`."""
+    from graphtrack.io.atomic import check_distinct
+    from perception.adaptation.labels import check_camera
+    from perception.images.frames import FrameSource
+    from perception.report_folder import FILES, STAGES, ReportFolder, check_folder
+
     check_folder(output)
     inputs = {
         "the input": FrameSource.files(source),
@@ -79,16 +112,16 @@ def report(
         **camera.files,
     }
     written = [output / name for name in (*FILES.values(), STAGES)]
-    check_distinct({"--output": written, "--save": showing.save}, inputs, to_make=[output])
+    check_distinct({"--output": written, "--save": other_output}, inputs, to_make=[output])
     frames = FrameSource.open(source)
     known = camera.on_ground()
     if known is not None:
         check_camera(known, frames.size())
     refused: dict[str, None] = {}
-    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault)
-    folder = ReportFolder(output, _STAGES, lambda words: emit(words))
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault, reports)
+    folder = ReportFolder(output, _STAGES, reports.emit)
     folder.open()
-    run = _Run(folder, frames, camera.clock(frames), known, person_height, seed)
+    run = _Run(folder, frames, camera.clock(frames), known, person_height, seed, reports)
     run.assumed.append(_of_rate(frames, run.clock, camera.fps))
     run.find_people(boxes, given, list(refused))
     run.find_ground(camera.calibration or camera.homography)
@@ -98,11 +131,10 @@ def report(
     run.draw()
     run.write_page(source.name)
     for line in run.assumed:
-        emit(f"  note: {line}")
+        reports.emit(f"  note: {line}")
     names = ", ".join(name for name in FILES.values() if (output / name).is_file())
-    emit(f"wrote {output}: {names}")
-    if view:
-        run.view(showing)
+    reports.emit(f"wrote {output}: {names}")
+    return run
 
 
 def _of_rate(frames: FrameSource, clock: Clock, fps: float | None) -> str:
@@ -128,6 +160,7 @@ class _Run:
     known: GroundCamera | None
     person_height: float
     seed: int
+    reports: Reports
     people: list[PersonBox] = field(default_factory=list)
     camera: GroundCamera | None = None
     to_scale: bool = False
@@ -144,7 +177,7 @@ class _Run:
             if given is not None:
                 detected.unlink(missing_ok=True)
                 return [f"{len(given)} boxes of {boxes}", *skipped(dict.fromkeys(left_out))]
-            search = PeopleSearch(self.frames, self.known, self.clock, detected)
+            search = PeopleSearch(self.frames, self.known, self.clock, detected, reports=self.reports)
             with search.people(refused.setdefault) as (found, _):
                 if not found:
                     nobody = "a recording without detections of people"
@@ -210,7 +243,15 @@ class _Run:
                 return [f"{summary}: {'as asked' if not adapt else 'no ground is known'}"]
             refuse, seed = refused.setdefault, self.seed
             models, summary = adapt_models(
-                place, key, self.frames, self.people, self.camera, self.clock, refuse, seed=seed
+                place,
+                key,
+                self.frames,
+                self.people,
+                self.camera,
+                self.clock,
+                refuse,
+                seed=seed,
+                reports=self.reports,
             )
             if models is None:
                 place.unlink(missing_ok=True)
@@ -221,9 +262,9 @@ class _Run:
     def observe(self) -> None:
         """Stage 4: observations of all people, and data association."""
         from graphtrack.io import write
-        from perception.observe.journal import FrameJournal
-        from perception.observe.pipeline import FrameObservation
-        from perception.observe.tables import associated, numbered, to_detections, to_tracks
+        from perception.observation.journal import FrameJournal
+        from perception.observation.pipeline import FrameObservation
+        from perception.observation.tables import associated, numbered, to_detections, to_tracks
 
         place, own_models = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -234,7 +275,9 @@ class _Run:
             models = chosen.load(appearance=not identified, has_keypoints=False)
             models = models.seeing(self.camera, self.frames.size)
             with FrameJournal(place.with_name(f"{place.name}.journal"), key, FrameObservation) as journal:
-                look_at_people(self.frames, self.people, models, journal, refused.setdefault)
+                look_at_people(
+                    self.frames, self.people, models, journal, refused.setdefault, reports=self.reports
+                )
                 inputs = journal, models.head_classes, self.camera, self.clock
                 if identified:
                     observed = to_tracks(*inputs).tracks
@@ -254,15 +297,15 @@ class _Run:
         """Stage 5: position, motion and orientation of all people."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.observe.tables import FILTERS, estimated
+        from perception.observation.tables import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
-            observations = self._read("observations")
+            observations = self.read("observations")
             own_models = self.folder.file("models")
             own = own_models.is_file() and method not in FILTERS
             adapted = CameraModels.load(own_models).graph if own else lambda model: model
-            with progress_bar(observations.n_frames) as advance:
+            with self.reports.progress(observations.n_frames, "person-frames") as advance:
                 found, summary = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))
             return summary
@@ -271,14 +314,18 @@ class _Run:
 
     def draw(self) -> None:
         """Stage 6: the annotated video."""
-        from perception.report import shown_by_frame, write_video
+        from perception.report_folder import shown_by_frame, write_video
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
-            estimates, observations = self._read("tracks"), self._read("observations")
+            estimates, observations = self.read("tracks"), self.read("observations")
             people = shown_by_frame(estimates, observations, self.people, self.camera)
             with self.frames.reported(
-                lambda number: True, self.frames.count, progress_bar, unit="frames drawn", one_size=True
+                lambda number: True,
+                self.frames.count,
+                self.reports.progress,
+                unit="frames drawn",
+                one_size=True,
             ) as decoded:
                 write_video(self.folder.file("video"), decoded, people, self.camera, self.clock)
             return []
@@ -288,12 +335,12 @@ class _Run:
     def write_page(self, title: str) -> None:
         """Stage 7: the page, the view from above, and the assumptions."""
         from graphtrack.io.atomic import atomic_path
-        from perception.report import write_above, write_page
+        from perception.report_folder import write_above, write_page
 
         lines = tuple(self.assumed)
 
         def work(key: str) -> list[str]:
-            estimates, observations = self._read("tracks"), self._read("observations")
+            estimates, observations = self.read("tracks"), self.read("observations")
             write_above(self.folder.file("above"), estimates, observations)
             with atomic_path(self.folder.file("assumptions")) as temporary:
                 temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -307,11 +354,11 @@ class _Run:
         """Show the result in Rerun."""
         from graphtrack.interaction.groups import groups
         from graphtrack.viewer.shown import view
-        from perception.report import boxes_shown, shown_by_frame
+        from perception.report_folder import boxes_shown, shown_by_frame
 
         assert self.camera is not None
-        estimates = self._read("tracks")
-        people = shown_by_frame(estimates, self._read("observations"), self.people, self.camera)
+        estimates = self.read("tracks")
+        people = shown_by_frame(estimates, self.read("observations"), self.people, self.camera)
         view(
             estimates,
             save=showing.save,
@@ -321,9 +368,10 @@ class _Run:
             boxes=boxes_shown(people),
         )
         if showing.save is not None:
-            emit(f"wrote {showing.save}; to see it: rerun {showing.save}")
+            self.reports.emit(f"wrote {showing.save}; to see it: rerun {showing.save}")
 
-    def _read(self, name: str) -> TrackSet:
+    def read(self, name: str) -> TrackSet:
+        """Read the tracks of a file of the folder."""
         from graphtrack.io import read_identified
 
         return read_identified(self.folder.file(name))

@@ -14,10 +14,9 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, progress_bar
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.options import in_time, stamp_of, stamp_of_camera
+from perception.cli.options import PRINTED, Reports, in_time, stamp_of, stamp_of_camera
 from perception.storage import key_of
 
 if TYPE_CHECKING:
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     from perception.detection.yolo import YoloNetwork
     from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.pixels import Image
-    from perception.observe.journal import FrameJournal
-    from perception.observe.pipeline import FrameObservation, Models
+    from perception.observation.journal import FrameJournal
+    from perception.observation.pipeline import FrameObservation, Models
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +143,7 @@ def searched(
     *,
     unit: str = "frames searched",
     one_size: bool,
+    reports: Reports,
 ) -> int:
     """Detect people in the frames missing from the journal, add them, and return the number of frames.
 
@@ -158,7 +158,7 @@ def searched(
         return number not in known and (numbers is None or number in numbers)
 
     left = max((frames.count if numbers is None else len(numbers)) - len(known), 0)
-    with frames.reported(wanted, left, progress_bar, unit=unit, one_size=one_size) as decoded:
+    with frames.reported(wanted, left, reports.progress, unit=unit, one_size=one_size) as decoded:
         for frame in decoded:
             if frame.image is None:
                 refuse(frame.reason)
@@ -168,10 +168,10 @@ def searched(
     return count
 
 
-def report_progress(journal: FrameJournal[Any]) -> None:
+def report_progress(journal: FrameJournal[Any], reports: Reports) -> None:
     """Report the number of known frames, if there are any."""
     if journal:
-        emit(f"going on after {counted(len(journal), 'frame')}")
+        reports.emit(f"going on after {counted(len(journal), 'frame')}")
 
 
 def find_keypoints(
@@ -182,6 +182,7 @@ def find_keypoints(
     refuse: Refuse,
     *,
     one_size: bool,
+    reports: Reports,
 ) -> list[PersonBox]:
     """Return the people with their keypoints; without known boxes, with boxes from the keypoints.
 
@@ -192,10 +193,19 @@ def find_keypoints(
     found = networks.known
     if found is None:
         start = time.perf_counter()
-        report_progress(journal)
+        report_progress(journal, reports)
         numbers = None if people is None else {item.frame for item in people}
-        count = searched(frames, journal, networks.look, refuse, numbers, unit="frames", one_size=one_size)
-        emit(f"detected keypoints in {in_time(count, time.perf_counter() - start)}")
+        count = searched(
+            frames,
+            journal,
+            networks.look,
+            refuse,
+            numbers,
+            unit="frames",
+            one_size=one_size,
+            reports=reports,
+        )
+        reports.emit(f"detected keypoints in {in_time(count, time.perf_counter() - start)}")
         found = journal
     if people is None:
         return boxes_of(found, refuse)
@@ -215,6 +225,7 @@ def look_at_people(
     empty: frozenset[int] = frozenset(),
     *,
     one_size: bool = True,
+    reports: Reports = PRINTED,
 ) -> int:
     """Observe all people in the frames missing from the journal, add them; return the number of frames.
 
@@ -222,13 +233,13 @@ def look_at_people(
     ----------
     empty : frames without people
     """
-    from perception.observe import pipeline
+    from perception.observation import pipeline
 
-    report_progress(journal)
+    report_progress(journal, reports)
     known = frozenset(journal) | empty
     left = frames.count - len(known)
     with frames.reported(
-        lambda number: number not in known, left, progress_bar, one_size=one_size
+        lambda number: number not in known, left, reports.progress, one_size=one_size
     ) as decoded:
         return pipeline.observe(decoded, people, models, journal, refuse=refuse)
 
@@ -252,6 +263,7 @@ class PeopleSearch:
     causal : whether a detection depends on its frame alone, without background or learning
     one_size : whether frames of several sizes are refused, as with a camera
     detector : the user's own, for every frame; None: the package's
+    reports : receives messages and progress
     """
 
     frames: FrameSource
@@ -262,6 +274,7 @@ class PeopleSearch:
     causal: bool = False
     one_size: bool = True
     detector: YoloNetwork | None = None
+    reports: Reports = PRINTED
 
     @contextmanager
     def people(self, refuse: Refuse) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
@@ -273,7 +286,7 @@ class PeopleSearch:
         from perception.detection.boxes import FrameDetections, boxes_of
         from perception.detection.hog import PeopleDetector
         from perception.detection.rescoring import PersonProbability
-        from perception.observe.journal import FrameJournal
+        from perception.observation.journal import FrameJournal
 
         view = stamp_of_camera(self.camera)
         key = key_of(self.frames.stamp(), self.clock, self.causal, view, *self.asked)
@@ -282,7 +295,7 @@ class PeopleSearch:
         with ExitStack() as journals:
             journal = journals.enter_context(FrameJournal(of_detections, key, FrameDetections))
             adapted = journals.enter_context(FrameJournal(of_adapted, key, PersonProbability))
-            report_progress(journal)
+            report_progress(journal, self.reports)
             count = len(journal)
             if self.detector is None and self.camera is not None:
                 self._on_ground(self.camera, journal, adapted, refuse)
@@ -292,10 +305,10 @@ class PeopleSearch:
                 def find(number: int, image: Image) -> FrameDetections:
                     return detector.detect(image)
 
-                searched(self.frames, journal, find, refuse, one_size=self.one_size)
+                searched(self.frames, journal, find, refuse, one_size=self.one_size, reports=self.reports)
             count = len(journal) - count
             spent = (time.process_time() - started) / max(count, 1)
-            emit(
+            self.reports.emit(
                 f"searched for people in {in_time(count, time.perf_counter() - before)}, "
                 f"{spent:.2f} s of processor time each"
             )
@@ -345,13 +358,14 @@ class PeopleSearch:
         def detect(number: int, image: Image) -> FrameDetections:
             return probability.detections(searching(image).candidates(image, backgrounds.at(number)))
 
-        searched(self.frames, journal, detect, refuse, one_size=True)
+        searched(self.frames, journal, detect, refuse, one_size=True, reports=self.reports)
 
     def _some(self, wanted: set[int], unit: str) -> AbstractContextManager[Iterator[Frame]]:
         """Decode some frames, with a progress bar; none if none are wanted."""
         if not wanted:
             return nullcontext(iter(()))
-        return self.frames.reported(wanted.__contains__, len(wanted), progress_bar, unit=unit, one_size=True)
+        progress = self.reports.progress
+        return self.frames.reported(wanted.__contains__, len(wanted), progress, unit=unit, one_size=True)
 
     def _adapted(
         self, camera: GroundCamera, candidates: Mapping[int, Candidates]
@@ -360,12 +374,14 @@ class PeopleSearch:
 
         found = adapt_to_recording(candidates, camera, self.clock, np.random.default_rng(0))
         if found is None:
-            emit(
+            self.reports.emit(
                 "  note: too few walking people: the detector is not adapted to this recording, and its "
                 "scores are not calibrated for it"
             )
         else:
-            emit(f"adapted to {counted(found.boxes, 'detection')} of {found.people} walking people")
+            self.reports.emit(
+                f"adapted to {counted(found.boxes, 'detection')} of {found.people} walking people"
+            )
         return found
 
 

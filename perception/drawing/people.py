@@ -14,8 +14,8 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from perception.drawing import overlays
 from perception.drawing.overlays import FONT, DrawnDirection, Likelihoods, Place
 from perception.images.pixels import Image
-from perception.observe.pipeline import FrameObservation, head_in_image
-from perception.observe.tables import ObservedTracks
+from perception.observation.pipeline import FrameObservation, head_in_image
+from perception.observation.tables import ObservedTracks
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 

@@ -13,12 +13,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.errors import InputError
 from graphtrack.evaluation.identities import score
 from graphtrack.experiments.harness import Cell, Progress, Table, quietly
-from graphtrack.geometry.angles import FloatArray, difference, direction
+from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io import read_identified
 from graphtrack.io.cameras import read_calibration
@@ -38,8 +39,8 @@ from perception.adaptation.models import CameraModels
 from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import Clock, FrameSource
-from perception.observe.pipeline import Models, PersonObservation, by_frame, observe_frame
-from perception.observe.tables import METHODS, associated, estimated, to_detections, to_tracks
+from perception.observation.pipeline import Models, PersonObservation, by_frame, observe_frame
+from perception.observation.tables import METHODS, associated, estimated, to_detections, to_tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,20 +260,22 @@ def methods_table(folder: Path, seed: int, progress: Progress) -> Table:
     return Table.of("Town Centre's first minute by every method, models of other people", rows)
 
 
-Reference = dict[int, FloatArray]
-"""Return by frame: true positions, directions of travel and speeds (n, 4)."""
+TRAVEL = np.dtype([("x", float), ("y", float), ("direction", float), ("speed", float)])
+"""True position of a person, m, direction of travel, rad, and speed, m/s."""
+Reference = dict[int, NDArray[np.void]]
+"""By frame, (n,) of `TRAVEL`."""
 
 
 def _travel(truth: TrackSet) -> Reference:
     """Return true positions, directions of travel and speeds of people labelled in at least four frames."""
     long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
-    found: dict[int, list[list[float]]] = {}
+    found: dict[int, list[tuple[float, ...]]] = {}
     for track in smooth(long, "position"):
         assert track.velocity is not None
         speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
         for k, frame in enumerate(track.frame.tolist()):
-            found.setdefault(frame, []).append([*track.position[k], way[k], speed[k]])
-    return {frame: np.array(rows) for frame, rows in found.items()}
+            found.setdefault(frame, []).append((*track.position[k], way[k], speed[k]))
+    return {frame: np.array(rows, TRAVEL) for frame, rows in found.items()}
 
 
 def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
@@ -286,7 +289,8 @@ def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     for frame, rows in of_frame.items():
         if frame not in reference:
             continue
-        positions, (ways, speeds) = reference[frame][:, :2], reference[frame][:, 2:].T
+        x, y, ways, speeds = (reference[frame][name] for name in TRAVEL.names or ())
+        positions = np.column_stack([x, y])
         apart = np.linalg.norm(
             np.array([track.position[k] for track, k in rows])[:, None] - positions, axis=2
         )

@@ -52,7 +52,7 @@ from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 from perception.drawing.overlays import Cues, draw_cues
 from perception.images.pixels import Image
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import (
+from perception.observation.pipeline import (
     Models,
     PersonObservation,
     by_frame,
@@ -61,7 +61,7 @@ from perception.observe.pipeline import (
     is_on_ground,
     observe_frame,
 )
-from perception.observe.tables import to_tracks
+from perception.observation.tables import to_tracks
 from perception.pose.classes import PoseClasses, image_likelihood
 from perception.pose.classifier import FeatureClassifier
 from perception.synthetic import make_heads, make_pedestrians

@@ -23,9 +23,9 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
 from perception.evaluation.classifiers import recognition_table
 from perception.experiments.street_heads import STEP, WALKING, head_boxes, labelled_runs
-from perception.follow.following import Followed, follow, to_track
-from perception.follow.ground import PERSON_IN_HEADS, BoxCamera
-from perception.follow.guidance import GraphGuide
+from perception.following.ground import PERSON_IN_HEADS, BoxCamera
+from perception.following.guidance import GraphGuide
+from perception.following.run import Followed, follow, to_track
 from perception.images.frames import Frame, FrameSource
 from perception.images.pixels import intersection_over_union
 from perception.pose.classes import PoseClasses

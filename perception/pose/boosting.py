@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,9 +166,8 @@ class BoostedBlocks:
         used = np.argsort(self.direction == 0.0, axis=1, kind="stable")
         count = np.count_nonzero(self.direction, axis=1)
         blocks = block_corners()[self.block[:rounds]]
-        total = _scores(
-            integral, rows, columns, blocks, self.direction, used, count, self.threshold, weight, normalised
-        )
+        weak = _WeakClassifiers(blocks, self.direction, used, count, self.threshold, weight)
+        total = _scores(integral, rows, columns, weak, normalised)
         return np.asarray(total / float(weight.sum()), float)
 
 
@@ -192,33 +191,33 @@ def _fisher_directions(
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True), np.float32)
 
 
+class _WeakClassifiers(NamedTuple):
+    """The t weak classifiers of `BoostedBlocks`, with the directions that they use."""
+
+    corners: NDArray[Any]  # (t, 4) of `block_corners`
+    direction: NDArray[Any]  # (t, 9)
+    used: NDArray[Any]  # (t, 9) indices of directions, those other than 0 first
+    used_count: NDArray[Any]  # (t,) directions other than 0
+    threshold: NDArray[Any]  # (t,)
+    weight: NDArray[Any]  # (t,)
+
+
 @kept()
-def _scores(
-    integral: Any,
-    rows: Any,
-    columns: Any,
-    block: Any,
-    direction: Any,
-    used: Any,
-    count: Any,
-    threshold: Any,
-    weight: Any,
-    normalised: bool,
-) -> Any:
+def _scores(integral: Any, rows: Any, columns: Any, weak: _WeakClassifiers, normalised: bool) -> Any:
     """Return votes (n,), from the four corners of each block, in the directions used."""
     n = len(rows)
     total = np.zeros(n)
     for i in range(n):
-        for t in range(len(weight)):
-            top, bottom, left, right = block[t]
+        for t in range(len(weak.weight)):
+            top, bottom, left, right = weak.corners[t]
             low, high = integral[rows[i, top]], integral[rows[i, bottom]]
             a, b = columns[i, left], columns[i, right]
             along = 0.0
-            for k in range(count[t]):
-                d = used[t, k]
-                along += direction[t, d] * (high[b, d] - low[b, d] - high[a, d] + low[a, d])
+            for k in range(weak.used_count[t]):
+                d = weak.used[t, k]
+                along += weak.direction[t, d] * (high[b, d] - low[b, d] - high[a, d] + low[a, d])
             norm = 1.0
             if normalised:
                 norm += high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
-            total[i] += weight[t] if along > threshold[t] * norm else -weight[t]
+            total[i] += weak.weight[t] if along > weak.threshold[t] * norm else -weak.weight[t]
     return total

@@ -28,10 +28,11 @@ class _Packed(NamedTuple):
     radius: FloatArray
     clip: FloatArray
     colour: FloatArray
-    texture: FloatArray
+    texture: NDArray[np.void]
     material: NDArray[np.int64]
-    first: NDArray[np.int64]
-    balls: FloatArray
+    first: NDArray[np.int64]  # (g + 1,) first solid of each group
+    ball_centre: FloatArray  # (g, 3) bounding sphere of each group
+    ball_radius: FloatArray  # (g,) 0: empty
 
     @classmethod
     def of(cls, solids: Solids, groups: int) -> _Packed:
@@ -39,13 +40,17 @@ class _Packed(NamedTuple):
         lengths = np.linalg.norm(solids.axes, axis=1)
         radius = np.where(solids.kind == 0, lengths.max(axis=1), np.linalg.norm(lengths, axis=1))
         first = np.searchsorted(solids.group, np.arange(groups + 1))
-        balls, used = np.zeros((groups, 4)), np.flatnonzero(np.diff(first))
+        ball_centre, ball_radius, used = (
+            np.zeros((groups, 3)),
+            np.zeros(groups),
+            np.flatnonzero(np.diff(first)),
+        )
         start = first[used]
         low = np.minimum.reduceat(solids.centre - radius[:, None], start)
         high = np.maximum.reduceat(solids.centre + radius[:, None], start)
-        balls[used, :3] = 0.5 * (low + high)
-        away = np.linalg.norm(solids.centre - balls[solids.group, :3], axis=1)
-        balls[used, 3] = np.maximum.reduceat(away + radius, start)
+        ball_centre[used] = 0.5 * (low + high)
+        away = np.linalg.norm(solids.centre - ball_centre[solids.group], axis=1)
+        ball_radius[used] = np.maximum.reduceat(away + radius, start)
         return cls(
             solids.kind,
             solids.centre,
@@ -56,7 +61,8 @@ class _Packed(NamedTuple):
             solids.texture,
             solids.material,
             first,
-            balls,
+            ball_centre,
+            ball_radius,
         )
 
 
@@ -146,7 +152,7 @@ def _noise(x: float, y: float, z: float) -> float:
 @kept()
 def _textured(texture: Any, local: Any) -> float:
     """Factor of the albedo at a local point."""
-    kind, contrast, periods = int(texture[0]), texture[1], texture[2]
+    kind, contrast, periods = texture.kind, texture.contrast, texture.periods
     if kind == SPECKLED:
         return 1.0 + contrast * _noise(local[0] * periods, local[1] * periods, local[2] * periods)
     band = int(np.floor(local[2] * periods)) & 1
@@ -161,9 +167,11 @@ def _textured(texture: Any, local: Any) -> float:
 def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
     """Return True if a solid lies between a point and the light."""
     lx, ly, lz = toward
-    for g in range(len(solids.balls)):
-        b = solids.balls[g]
-        if b[3] == 0.0 or _misses_ball(lx, ly, lz, b[0] - point[0], b[1] - point[1], b[2] - point[2], b[3]):
+    for g in range(len(solids.ball_radius)):
+        b, radius = solids.ball_centre[g], solids.ball_radius[g]
+        if radius == 0.0 or _misses_ball(
+            lx, ly, lz, b[0] - point[0], b[1] - point[1], b[2] - point[2], radius
+        ):
             continue
         for i in range(solids.first[g], solids.first[g + 1]):
             x = solids.centre[i, 0] - point[0]
@@ -178,11 +186,20 @@ def _in_shadow(point: Any, toward: Any, solids: Any, scratch: Any) -> bool:
 
 
 @kept()
-def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light: Any, floor: Any) -> Any:
+def cast_rays(
+    origin: Any,
+    rays: Any,
+    width: int,
+    solids: _Packed,
+    owner: Any,
+    light: Light,
+    floor: TiledFloor,
+    has_floor: bool,
+) -> Any:
     """Follow each ray to the first surface and shade it; see `raycast.cast` for the output."""
     kind, centre, inverse, radius = solids.kind, solids.centre, solids.inverse, solids.radius
-    clip, first, balls = solids.clip, solids.first, solids.balls
-    n, groups = len(rays), len(balls)
+    clip, first, ball_radius = solids.clip, solids.first, solids.ball_radius
+    n, groups = len(rays), len(ball_radius)
     colour = np.zeros((n, 3), np.float32)
     covered, skin = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     nearest = np.full(n, -1, np.int32)
@@ -195,8 +212,8 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
     start, away = np.empty((len(kind), 3)), centre - origin
     for i in range(len(kind)):
         _to_local(inverse[i], -away[i, 0], -away[i, 1], -away[i, 2], start[i])
-    ball_away = balls[:, :3] - origin
-    toward = light[0]
+    ball_away = solids.ball_centre - origin
+    toward = light.direction
     for r in range(n):
         dx, dy, dz = rays[r]
         if not np.isfinite(dx):
@@ -204,7 +221,7 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
         t_best, hit, last = _FAR, -1, -1
         for g in range(groups):
             b = ball_away[g]
-            if balls[g, 3] == 0.0 or _misses_ball(dx, dy, dz, b[0], b[1], b[2], balls[g, 3]):
+            if ball_radius[g] == 0.0 or _misses_ball(dx, dy, dz, b[0], b[1], b[2], ball_radius[g]):
                 continue
             met = False
             for i in range(first[g], first[g + 1]):
@@ -230,17 +247,18 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
                 if owner[g] != last:
                     last = owner[g]
                     covers[last] += 1
-        if floor[0] > 0.0 and dz < -1e-6 and -origin[2] / dz < t_best:
+        if has_floor and dz < -1e-6 and -origin[2] / dz < t_best:
             nearest[r] = -1
             covered[r] = True
             t = -origin[2] / dz
             world[0], world[1], world[2] = origin[0] + t * dx, origin[1] + t * dy, 0.0
-            dark = (int(np.floor(world[0] / floor[4])) + int(np.floor(world[1] / floor[4]))) & 1
+            dark = (int(np.floor(world[0] / floor.tile)) + int(np.floor(world[1] / floor.tile))) & 1
             lit = toward[2]
             if _in_shadow(world, toward, solids, scratch):
                 lit = 0.0
             for k in range(3):
-                colour[r, k] = floor[1 + k] * (1.0 - floor[5] * dark) * (light[2, k] + light[1, k] * lit)
+                shade = floor.colour[k] * (1.0 - floor.contrast * dark)
+                colour[r, k] = shade * (light.ambient[k] + light.key[k] * lit)
             continue
         if hit < 0:
             continue
@@ -259,12 +277,11 @@ def cast_rays(origin: Any, rays: Any, width: int, solids: Any, owner: Any, light
         sky = 0.75 + 0.25 * world[2] / length
         factor = _textured(solids.texture[hit], best_local)
         for k in range(3):
-            colour[r, k] = solids.colour[hit, k] * factor * (light[2, k] * sky + light[1, k] * lit)
+            colour[r, k] = solids.colour[hit, k] * factor * (light.ambient[k] * sky + light.key[k] * lit)
     return colour, covered, skin, nearest, extent, covers, shows
 
 
-@dataclass(frozen=True)
-class Light:
+class Light(NamedTuple):
     """Distant light and ambient light.
 
     Attributes
@@ -285,8 +302,7 @@ class Light:
         return cls(*(tuple(np.asarray(values, float).tolist()) for values in (toward, key, ambient)))
 
 
-@dataclass(frozen=True)
-class TiledFloor:
+class TiledFloor(NamedTuple):
     """A tiled floor z = 0.
 
     Attributes
@@ -349,14 +365,12 @@ def cast(
     count = (int(solids.group[-1]) + 1 if len(solids) else 0) if n_groups is None else n_groups
     packed = _Packed.of(solids, count)
     owner = np.arange(count) if owner is None else owner
-    lamp = np.array([light.direction, light.key, light.ambient], float)
-    floor = np.zeros(6)
-    if ground is not None:
-        floor[:] = 1.0, *ground.colour, ground.tile, ground.contrast
+    floor = TiledFloor((0.0, 0.0, 0.0)) if ground is None else ground
     h, w = rays.shape[:2]
 
     def follow(some: FloatArray) -> tuple[Any, ...]:
-        found: tuple[Any, ...] = cast_rays(np.asarray(origin, float), some, w, packed, owner, lamp, floor)
+        start, has_floor = np.asarray(origin, float), ground is not None
+        found: tuple[Any, ...] = cast_rays(start, some, w, packed, owner, light, floor, has_floor)
         return found
 
     flat = np.ascontiguousarray(rays, float).reshape(-1, 3)

@@ -19,6 +19,9 @@ PLAIN, SPECKLED, STRIPED, CHECKED = 0, 1, 2, 3
 SKIN, OTHER = 1, 0
 """Materials: skin or other, as needed by labels."""
 
+TEXTURE = np.dtype([("kind", np.int64), ("contrast", float), ("periods", float)])
+"""Kind of texture, contrast in 0…1, and periods over the solid."""
+
 _NO_CLIP = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -33,7 +36,7 @@ class Solids:
     axes : (m, 3, 3) the columns are the semi-axes (metres): a point of the solid is centre + axes · local
     clip : (m, 4) only the surface with n·local ≤ d exists, for rows (n, d)
     colour : (m, 3) albedo in 0…1, blue green red
-    texture : (m, 3) kind of texture, contrast in 0…1, and periods over the solid
+    texture : (m,) of `TEXTURE`
     material : (m,) SKIN or OTHER
     group : (m,) group of the solid; boxes and visibility are reported per group
     """
@@ -43,7 +46,7 @@ class Solids:
     axes: FloatArray
     clip: FloatArray
     colour: FloatArray
-    texture: FloatArray
+    texture: NDArray[np.void]
     material: NDArray[np.int64]
     group: NDArray[np.int64]
 
@@ -92,7 +95,7 @@ class Builder:
         rotation: FloatArray | None = None,
     ) -> None:
         """Add an ellipsoid; ``clip`` (n, d) is in units of its semi-axes."""
-        self._add(ELLIPSOID, centre, semi_axes, colour, clip, texture, skin, rotation)
+        self._add(ELLIPSOID, centre, semi_axes, colour, texture, skin=skin, clip=clip, rotation=rotation)
 
     def box(
         self,
@@ -104,7 +107,7 @@ class Builder:
         rotation: FloatArray | None = None,
     ) -> None:
         """Add a box of twice the semi-axes."""
-        self._add(BOX, centre, semi_axes, colour, _NO_CLIP, texture, False, rotation)
+        self._add(BOX, centre, semi_axes, colour, texture, rotation=rotation)
 
     def limb(
         self,
@@ -128,9 +131,9 @@ class Builder:
         v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
         rotation = np.array([u, v, (x, y, z)]).T
         middle, semi = (start + end) / 2.0, (radius, radius, length / 2.0)
-        self._add(TUBE, middle, semi, colour, _NO_CLIP, texture, skin, rotation)
+        self._add(TUBE, middle, semi, colour, texture, skin=skin, rotation=rotation)
         for ball in (start, end):
-            self._add(ELLIPSOID, ball, (radius,) * 3, colour, _NO_CLIP, texture, skin, None)
+            self._add(ELLIPSOID, ball, (radius,) * 3, colour, texture, skin=skin)
 
     def _add(
         self,
@@ -138,10 +141,11 @@ class Builder:
         centre: ArrayLike,
         semi_axes: ArrayLike,
         colour: ArrayLike,
-        clip: tuple[float, ...],
         texture: tuple[float, ...],
-        skin: bool,
-        rotation: FloatArray | None,
+        *,
+        skin: bool = False,
+        clip: tuple[float, ...] = _NO_CLIP,
+        rotation: FloatArray | None = None,
     ) -> None:
         axes = np.diag(np.asarray(semi_axes, dtype=float))
         if rotation is not None:
@@ -158,7 +162,7 @@ class Builder:
             np.array(axes, float).reshape(-1, 3, 3),
             np.array(clip, float).reshape(-1, 4),
             np.array(colour, float).reshape(-1, 3),
-            np.array(texture, float).reshape(-1, 3),
+            np.array(list(texture), TEXTURE),
             np.array(material, np.int64),
             np.full(len(kind), group, np.int64),
         )

@@ -11,7 +11,7 @@ from command import run as run_command
 from crossing_people import idf1, street
 
 import graphtrack as gt
-from graphtrack.association.likelihood import missed, scene_of
+from graphtrack.association.likelihood import log_gap, scene_of
 from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import SceneParameters
@@ -88,7 +88,7 @@ def test_second_boxes_of_one_person_are_no_people() -> None:
 
 def test_a_gap_is_an_occlusion_rather_than_many_misses() -> None:
     scene = scene_of(SceneParameters(), 0.1)
-    gaps = np.array([missed(k, scene) for k in range(40)])
+    gaps = np.array([log_gap(k, scene) for k in range(40)])
     assert gaps[0] == 0.0 and gaps[1] == pytest.approx(np.log(0.1 + 0.01 * np.exp(-0.1 / 2.0)))
     # Once hidden, a further frame costs next to nothing.
     assert gaps[39] - gaps[38] == pytest.approx(-0.05, abs=1e-3)

@@ -51,13 +51,14 @@ def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
         grid = grid_of(chains, tails, np.arange(len(tails)))
         for k in heads.tolist():
             state, dt = chains.state[k], chains.t[tails] - chains.t[k]
-            off = chains.position[tails] - state[:2] - dt[:, None] * state[2:4]
-            spread = state[4] + 2.0 * dt * state[5] + dt**2 * state[6] + scene.density * dt**3 / 3.0
+            mean = np.array([state["x"], state["y"]]) + dt[:, None] * [state["vx"], state["vy"]]
+            off = chains.position[tails] - mean
+            spread = state["pp"] + 2.0 * dt * state["pv"] + dt**2 * state["vv"] + scene.density * dt**3 / 3.0
             spread += chains.variance[tails] + scene.jump_variance
             within = (np.sum(off**2, axis=1) < GATE**2 * spread) & (dt <= scene.longest_gap)
-            one, bounds = rows[k], np.full(len(grid.shape), np.inf)
+            one, bounds = rows[k], np.full(len(grid.groups), np.inf)
             count = near_detections(
-                chains, state, float(one["t"]), int(one["frame"]), tails, grid, bounds, scene, near
+                chains, state, float(one["t"]), int(one["frame"]), grid, bounds, scene, near
             )
             assert sorted(near[:count].tolist()) == np.flatnonzero(within).tolist()
             found += count

@@ -43,7 +43,7 @@ def test_pairs_show_where_people_go(hz: float, turn: float) -> None:
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     position = detections.position @ axes
     found = velocities_of(detections.step, position, axes, 1.0 / hz, 0.1, 1.0)
-    weight, along = found[:, 0], found[:, 1:3] @ axes.T
+    weight, along = found["weight"], np.column_stack([found["vx"], found["vy"]]) @ axes.T
     assert weight.sum() == pytest.approx(1.0)
     # Both ways, 1.3 m/s: much of the weight, and little across.
     both = np.abs(np.abs(along[:, 1]) - 1.3) < 0.4

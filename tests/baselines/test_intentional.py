@@ -113,7 +113,7 @@ def test_eleven_deviations_are_summed() -> None:
     head = np.zeros(40)
     head[20] = np.pi / 4.0
     parameters = IntentionalParameters(weight_rate=12.0, weight_offset=0.5)
-    spread = intentional_filter(position, head, parameters).predicted_spread[0, :, 2]
+    spread = intentional_filter(position, head, parameters).predicted_spread["vv"][0]
     # With the weight 1 nothing is left of the velocity but Q. Eq. 2 goes from k = t − 10 to t.
     intended = np.flatnonzero(np.abs(spread - parameters.process_variance) < 1e-3)
     np.testing.assert_array_equal(intended, np.arange(21, 21 + 11))
@@ -125,8 +125,8 @@ def test_the_estimates_of_a_track_are_those_of_the_steps() -> None:
     found = step_tracker(track, PRINTED)
     np.testing.assert_allclose(found.position, states.mean[0, :, :2])
     np.testing.assert_allclose(found.velocity, states.mean[0, :, 2:] / 0.25)
-    np.testing.assert_allclose(found.covariance[:, 2, 0], states.spread[0, :, 1] / 0.25)
-    np.testing.assert_allclose(found.covariance[:, 3, 3], states.spread[0, :, 2] / 0.25**2)
+    np.testing.assert_allclose(found.covariance[:, 2, 0], states.spread["pv"][0] / 0.25)
+    np.testing.assert_allclose(found.covariance[:, 3, 3], states.spread["vv"][0] / 0.25**2)
     assert len(step_tracker(track[:1])) == 1
     with pytest.raises(SolveError):
         step_tracker(replace(track, position=np.full((30, 2), np.nan)))

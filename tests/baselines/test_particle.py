@@ -23,9 +23,7 @@ from graphtrack.baselines.particle_filter import (
     recover,
 )
 from graphtrack.baselines.particle_kernels import (
-    BODY,
-    HEAD,
-    POSITION,
+    Used,
     backward,
     draw_angles,
     draw_motion,
@@ -465,11 +463,15 @@ def test_what_is_out_of_reach_together_is_drawn_anew_together() -> None:
     particles = np.zeros((400, 6))
     particles[:, :2], particles[:, 5] = track.position[2] + 9.0, track.head[2]
     # The position alone is lost; then everything, one half here and the other half there.
-    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == POSITION
+    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == Used(
+        position=True, body=False, head=False
+    )
     assert np.linalg.norm(particles[:, :2] - track.position[2], axis=1).max() < 0.06
     particles[:200, :2] += 9.0
     particles[200:, 5] += 1.5
-    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == POSITION + BODY + HEAD
+    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == Used(
+        position=True, body=True, head=True
+    )
     assert np.linalg.norm(particles[:, :2] - track.position[2], axis=1).max() < 0.06
     assert np.abs(difference(particles[:, 5], track.head[2])).max() < 0.12
 

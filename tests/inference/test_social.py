@@ -222,11 +222,10 @@ def test_who_walks_past_a_conversation_is_told_nothing_of_it() -> None:
     passing = [np.column_stack([0.7 * t - 8.0, np.full(60, y)]) for y in (0.0, 0.9)]
     standing = [np.tile([0.5 * k, 1.8 + 0.8 * (k % 2)], (60, 1)) for k in range(3)]
     people = people_of(gt.Track(k, frame, t, place) for k, place in enumerate((*passing, *standing)))
-    told = neighbours(people, pair_evidence(people, DEFAULT))
+    toward, probability = neighbours(people, pair_evidence(people, DEFAULT))
     walks = people.person < 2
-    assert (told[walks] == 0.0).all() and (told[~walks, 2] > 0.5).all()
-    hardly = (told[:, 2] > 0.0) & (told[:, 2] < LEAST)
-    assert not hardly.any()
+    assert not toward[walks].any() and not probability[walks].any() and (probability[~walks] > 0.5).all()
+    assert not ((probability > 0.0) & (probability < LEAST)).any()
 
 
 def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:

@@ -158,7 +158,7 @@ def test_motion_has_the_moments_of_the_mixture_of_kalman_filters():
     total = np.tensordot(weights, covariances, 1) + between
     found = filters.motion(at, np.array([dt]))
     np.testing.assert_allclose([found.position[0], found.velocity[0]], mean, rtol=1e-9)
-    np.testing.assert_allclose(found.variance[0], [total[0, 0], total[0, 1], total[1, 1]], rtol=1e-9)
+    np.testing.assert_allclose(found.variance[0].tolist(), [total[0, 0], total[0, 1], total[1, 1]], rtol=1e-9)
 
 
 def test_the_mean_turn_is_the_mean_of_the_turns_so_far():

@@ -7,7 +7,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import Forecaster, lead, mean_turn
+from graphtrack.forecasting.forecaster import Forecaster, mean_turn, turn_to_head
 from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.learning import forecasts as learning
 from graphtrack.learning.forecasts import forecasts, recording
@@ -51,7 +51,7 @@ def test_the_search_finds_the_least_of_a_valley_and_stays_there():
 def test_how_far_the_head_leads_is_found():
     rng, truth = np.random.default_rng(2), replace(ForecastParameters(), head_share=0.6, head_limit=1.2)
     angle, velocity = rng.uniform(-2, 2, 500), rng.normal(0, 1, 500) + 1j * rng.normal(0, 1, 500)
-    turned = lead(angle, np.ones(500), truth)[:, None] * mean_turn(learning._HEAD_TIMES, truth)
+    turned = turn_to_head(angle, np.ones(500), truth)[:, None] * mean_turn(learning._HEAD_TIMES, truth)
     moved = velocity[:, None] * learning._HEAD_TIMES * np.exp(1j * turned)
     heads = learning.Heads(velocity, angle, np.ones(500), moved)
     found = learning._search(learning.START, learning.HEAD_STEPS, heads.error, lambda what: None)

@@ -35,7 +35,7 @@ from perception.adaptation.learning import joined, thinned
 from perception.adaptation.models import CameraModels
 from perception.evaluation.adapted_cameras import sequences_of
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import Models, observe_frame
+from perception.observation.pipeline import Models, observe_frame
 from perception.pose.classifier import reliability
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 

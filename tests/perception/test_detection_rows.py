@@ -22,9 +22,9 @@ from perception.detection.boxes import FrameDetections
 from perception.detection.ground_search import FEATURES
 from perception.detection.rescoring import Certainty, PersonProbability
 from perception.ground.upright import LeaningPose
-from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import FrameObservation, PersonObservation
-from perception.observe.tables import ObservedTracks, to_detections, to_tracks
+from perception.observation.journal import FrameJournal
+from perception.observation.pipeline import FrameObservation, PersonObservation
+from perception.observation.tables import ObservedTracks, to_detections, to_tracks
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH
 from perception.pose.head_detection import HeadCandidates
@@ -60,7 +60,7 @@ KINDS = pytest.mark.parametrize(
 def test_rows_made_some_at_a_time_are_those_of_tracks(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("perception.observe.tables._AT_ONCE", 10)
+    monkeypatch.setattr("perception.observation.tables._AT_ONCE", 10)
     frames = seen_frames(30, np.random.default_rng(1), known=known)
     tracks = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     expected = to_columns(tracks)

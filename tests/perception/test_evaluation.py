@@ -17,7 +17,7 @@ from perception.drawing.overlays import Cues, draw_cues
 from perception.evaluation.classifiers import class_rates
 from perception.experiments.chen_pixels import LEAST_FRAMES, METHODS, ObservedPerson, joint_scores, people_of
 from perception.models import load_classifier, load_head_localiser
-from perception.observe.pipeline import Models
+from perception.observation.pipeline import Models
 from perception.synthetic.clips import Clip, walking_clip
 
 

@@ -15,7 +15,7 @@ import graphtrack
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
-from perception.follow.ground import BoxCamera
+from perception.following.ground import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 from perception.trackers.tracker import BoxEstimate

@@ -14,8 +14,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration
 from perception.detection.boxes import read_boxes
-from perception.follow.following import box_cameras
-from perception.follow.ground import BODY_MIDDLE, BoxCamera
+from perception.following.ground import BODY_MIDDLE, BoxCamera
+from perception.following.run import box_cameras
 from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
 
 pytestmark = pytest.mark.slow

@@ -12,10 +12,10 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Observation
 from perception.experiments.head_trackers import graph_on_top, survives
-from perception.follow import guidance
-from perception.follow.following import Followed, to_track
-from perception.follow.ground import BoxCamera
-from perception.follow.guidance import GUIDE_MODEL, GraphGuide
+from perception.following import guidance
+from perception.following.ground import BoxCamera
+from perception.following.guidance import GUIDE_MODEL, GraphGuide
+from perception.following.run import Followed, to_track
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 

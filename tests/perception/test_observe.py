@@ -15,8 +15,8 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import PersonObservation, by_frame, observe_frame
-from perception.observe.tables import to_tracks
+from perception.observation.pipeline import PersonObservation, by_frame, observe_frame
+from perception.observation.tables import to_tracks
 from perception.pose.classes import PoseClasses
 from perception.pose.head_detection import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
@@ -71,7 +71,7 @@ def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
             raise error
         return observe_frame(image, frame, *rest)
 
-    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
+    monkeypatch.setattr("perception.observation.pipeline.observe_frame", look)
     return looked
 
 

@@ -27,9 +27,9 @@ from perception.detection.boxes import PersonBox
 from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import FrameSource
-from perception.observe import pipeline
-from perception.observe.tables import METHODS, associated, estimated, numbered
-from perception.report import shown_by_frame, what_they_do
+from perception.observation import pipeline
+from perception.observation.tables import METHODS, associated, estimated, numbered
+from perception.report_folder import shown_by_frame, what_they_do
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 EVERYTHING = {

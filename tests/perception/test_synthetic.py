@@ -221,7 +221,7 @@ def test_casting_only_near_what_moves_gives_the_same_frame(oversampling: int) ->
 def test_the_label_encloses_the_pixels_of_the_target(name: str) -> None:
     sequence = drawn(name)
     # Without a key light there are no shadows: only the person differs from the empty room.
-    light = replace(sequence.scene.light, key=(0.0, 0.0, 0.0))
+    light = sequence.scene.light._replace(key=(0.0, 0.0, 0.0))
     scene = replace(sequence.scene, light=light)
     room = StillScene(scene, oversampling=1)
     empty = room.render((), Sensor(), np.random.default_rng(0)).image

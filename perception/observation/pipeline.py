@@ -19,7 +19,7 @@ from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, po
 from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in, upright_picture
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
-from perception.observe.journal import FrameJournal
+from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.features import Projection, describe, light_of
@@ -304,7 +304,7 @@ def channels_of(
     ----------
     items : one person in n frames, on this side of the horizon
     heads : (n,) index of the candidate that is the head
-    head_classes, camera, clock : as of `perception.observe.tables.to_tracks`
+    head_classes, camera, clock : as of `perception.observation.tables.to_tracks`
     in_image : whether the likelihoods stay in the image frame, for filters that evaluate them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none

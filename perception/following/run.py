@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io.read_write import write_table
-from graphtrack.io.text import parse_number
 from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
 from perception.detection.hog import PeopleDetector
-from perception.follow.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
+from perception.following.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Clock, Frame, FrameSource, of_one_size, read_image, seconds
 from perception.images.pixels import Image, crop
 from perception.models import load_head_localiser
@@ -24,7 +23,7 @@ from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.follow.guidance import GraphGuide
+    from perception.following.guidance import GraphGuide
 
 
 _EVEN = 2.0  # grey levels: least mean deviation of the pixels of an image with content
@@ -37,22 +36,6 @@ class Followed:
     frame: int
     estimate: BoxEstimate
     believed: bool = True
-
-
-def parse_box(text: str) -> Box:
-    """Parse a box from ``left,top,width,height``.
-
-    Raises
-    ------
-    InputError
-        If it is not four finite numbers. Trackers refuse invalid boxes.
-    """
-    values = [parse_number(cell) for cell in text.split(",")]
-    numbers = [value for value in values if value is not None]
-    if len(values) != 4 or len(numbers) != 4:
-        raise InputError(f"a box {text!r}", "LEFT,TOP,WIDTH,HEIGHT in pixels")
-    left, top, width, height = numbers
-    return left, top, width, height
 
 
 def find_head(image: Image) -> Box:
@@ -226,17 +209,10 @@ def to_track(
     )
 
 
-def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> None:
-    """Write the table of `perception follow`: the native table with boxes and the head's tilt.
+def box_table(found: Sequence[Followed], track: Track) -> dict[str, NDArray[Any]]:
+    """Return the columns of `perception follow`: the native table with boxes and the head's tilt.
 
-    Parameters
-    ----------
-    track : of the same frames, as from `to_track`
-
-    Raises
-    ------
-    InputError
-        If the path cannot be written to; an existing file is then kept.
+    ``track``: of the same frames, as from `to_track`
     """
     columns = to_columns(TrackSet((track,)))
     boxes_of_head = np.array([(*item.estimate.box, item.estimate.confidence) for item in found])
@@ -249,7 +225,7 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
     tilts = [item.estimate.tilt if item.estimate.found else None for item in found]
     if any(tilt is not None for tilt in tilts):
         table[TILT_COLUMN] = np.rad2deg(np.array(tilts, float))
-    write_table(table, path)
+    return table
 
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:

@@ -12,7 +12,7 @@ from graphtrack.tracks.track import Track, TrackSet, to_columns
 from perception.detection.boxes import PersonBox
 from perception.images.frames import Clock
 from perception.images.pixels import Image
-from perception.observe.pipeline import (
+from perception.observation.pipeline import (
     FrameObservation,
     Models,
     PersonObservation,
@@ -21,13 +21,13 @@ from perception.observe.pipeline import (
     is_on_ground,
     observe_frame,
 )
-from perception.observe.tables import scaled_camera
+from perception.observation.tables import scaled_camera
 from perception.pose.features import Projection
 from perception.pose.head_detection import HeadPath
 
 
 class LiveObserver:
-    """Rows of each frame, equal to those of the causal `perception.observe.tables.to_tracks`.
+    """Rows of each frame, equal to those of the causal `perception.observation.tables.to_tracks`.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import Clock, Frame, FrameSource
 from perception.images.pixels import pictures
-from perception.observe.tables import BOX
+from perception.observation.tables import BOX
 from perception.storage import key_of
 
 STAGES = "stages.json"

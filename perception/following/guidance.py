@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate
 from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.parameters import MotionParameters
-from perception.follow.ground import BoxCamera
+from perception.following.ground import BoxCamera
 from perception.images.frames import Clock, seconds
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal

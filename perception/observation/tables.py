@@ -23,7 +23,7 @@ from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.images.frames import Clock
-from perception.observe.pipeline import (
+from perception.observation.pipeline import (
     FrameObservation,
     PersonObservation,
     channels_of,
@@ -36,6 +36,34 @@ from perception.pose.head_detection import HeadCandidates, HeadPath, select_alon
 
 _AT_ONCE = 512  # rows per batch
 _SAMPLE = 8192  # people to fit the projection to
+
+
+@dataclass(frozen=True, eq=False)
+class Observations(Mapping[str, NDArray[Any]]):
+    """Table of observations: name of a native column → its values (n,), as `graphtrack.smooth` takes it.
+
+    Units are those of files: metres, seconds, degrees.
+
+    Attributes
+    ----------
+    columns : the columns; ``track_id`` is −1 in rows without identities
+    summary : refused rows, and notes on what was left out or assumed
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    summary: ReadSummary
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def __repr__(self) -> str:
+        return f"Observations({len(self['track_id'])} rows, columns {', '.join(self)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +111,7 @@ def to_detections(
     Parameters
     ----------
     frames : observations by frame number; they are iterated two or three times
-    head_classes, camera, clock, causal : as in `perception.observe.tables.to_tracks`
+    head_classes, camera, clock, causal : as in `perception.observation.tables.to_tracks`
 
     Raises
     ------
@@ -288,7 +316,7 @@ def associated(
 
     Parameters
     ----------
-    columns : as `perception.observe.tables.to_detections` makes them
+    columns : as `perception.observation.tables.to_detections` makes them
     number : (n,) number of each row's box
     boxes : the observed boxes
 
