@@ -6,6 +6,7 @@ import math
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import compiled
+from graphtrack.kernels.layout import BODY, HEAD
 
 
 @compiled
@@ -37,7 +38,7 @@ def near(angle: float, reference: float) -> float:
 
 
 @compiled
-def quarter_turn(turns: FloatArray) -> None:
-    """Turn body and head by 90°: their cosines and sines (4,), in place."""
-    turns[0], turns[1] = -turns[1], turns[0]
-    turns[2], turns[3] = -turns[3], turns[2]
+def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
+    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
+    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
+    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])

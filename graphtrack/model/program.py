@@ -948,15 +948,13 @@ def cut(frame: Any) -> None:
 
 
 @compiled
-def orientation_costs(chain: Chain, k: int, state: Any, turns: Any) -> tuple[float, float]:
-    """Costs of frame k that depend on body alone, and on head alone, at some directions.
-
-    ``turns`` (4,) are cosine and sine of the body's direction and of the head's.
-    """
+def orientation_costs(
+    chain: Chain, k: int, state: Any, body_cos: float, body_sin: float, head_cos: float, head_sin: float
+) -> tuple[float, float]:
+    """Costs of frame k that depend on body alone, and on head alone, at some directions."""
     problem = chain.problem
     row = problem.offsets[chain.track] + k
     frame, shared, body, head = problem.records[row], problem.shared[0], 0.0, 0.0
-    body_cos, body_sin, head_cos, head_sin = turns[0], turns[1], turns[2], turns[3]
     if frame.body_kappa > 0.0 and not frame.body_uniform > 0.0:
         body += cost_observed_angle(body_cos, body_sin, frame.observed_body_cos, frame.body_kappa,
             frame.observed_body_sin)

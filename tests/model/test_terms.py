@@ -23,8 +23,8 @@ from graphtrack.geometry.angles import class_kappa, highest_log_density, mixture
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.initialisation import pack, problem_of
-from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.state import values_of
+from graphtrack.kernels.arithmetic import note_turns
 from graphtrack.kernels.layout import BODY, BOTH, HEAD, STATE_SLICES, Chain
 from graphtrack.model import (
     CouplingParameters,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.newton import Workspace, copy_rows, note_turns
-from graphtrack.kernels.arithmetic import TURN, quarter_turn, wrapped
+from graphtrack.inference.chain.newton import Workspace, copy_rows
+from graphtrack.kernels.arithmetic import TURN, note_turns, wrapped
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating
 from graphtrack.kernels.layout import BODY, HEAD, VX, VY, Chain, N, Problem
 from graphtrack.model.generator import orientation_costs
@@ -51,9 +51,10 @@ def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> flo
         across = head_sin * body_cos - head_cos * body_sin
         kappa = chain.problem.records[chain.problem.offsets[chain.track] + k].head_body_kappa
         turned, turning = close, across
+        b, c, d, e = body_cos, body_sin, head_cos, head_sin
         for q in range(4):
-            costs[0, q], costs[1, q] = orientation_costs(chain, k, states[k], turns[k])
-            quarter_turn(turns[k])
+            costs[0, q], costs[1, q] = orientation_costs(chain, k, states[k], b, c, d, e)
+            b, c, d, e = -c, b, -e, d
         for q in range(1, 4):
             turned, turning = -turning, turned
             unturned = turned if q == 2 else -turned
@@ -160,12 +161,9 @@ def add_grid_costs(
     head: FloatArray,
 ) -> None:
     """Add costs of frames at each direction of a grid to the rows (groups, bins) of their ``node``."""
-    turns = np.empty(4)
     for k in range(len(states)):
         for i in range(len(cos)):
-            turns[0] = turns[2] = cos[i]
-            turns[1] = turns[3] = sin[i]
-            of_body, of_head = orientation_costs(chain, k, states[k], turns)
+            of_body, of_head = orientation_costs(chain, k, states[k], cos[i], sin[i], cos[i], sin[i])
             body[node[k], i] += of_body
             head[node[k], i] += of_head
 

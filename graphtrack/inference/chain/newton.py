@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.arithmetic import note_turns
 from graphtrack.kernels.compilation import allocating, compiled, inner, merged
-from graphtrack.kernels.layout import BODY, BOTH, HEAD, Chain, N, Sums
+from graphtrack.kernels.layout import BODY, BOTH, Chain, N, Sums
 from graphtrack.model.generator import add_frame
 
 
@@ -341,13 +342,6 @@ def as_variable(flag: bool) -> bool:
     """The flag, as a variable: functions are compiled again for each constant."""
     negated = not flag
     return not negated
-
-
-@compiled
-def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
-    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
-    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
-    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
 
 
 @inner

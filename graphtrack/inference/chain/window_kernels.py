@@ -29,7 +29,6 @@ from graphtrack.inference.chain.newton import (
     invert_cholesky,
     marginal,
     minimise,
-    note_turns,
     sums_of,
     sweep_back,
     sweep_forward,
@@ -37,7 +36,7 @@ from graphtrack.inference.chain.newton import (
     whiten,
     workspace,
 )
-from graphtrack.kernels.arithmetic import near
+from graphtrack.kernels.arithmetic import near, note_turns
 from graphtrack.kernels.compilation import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.kernels.layout import BODY, BOTH, HEAD, LINKS, OWN, VX, VY, Chain, N, Problem, X, Y
 from graphtrack.model.generator import FrameProgram, add_frame, cut
