@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import sympy
 
 VARIABLES = ("x", "y", "vx", "vy", "body", "head")  # In the order of the state
+_UNIT_VECTORS = ("body_sin", "head_sin", "angle_sin", "number_sin")
+_FIRST_ANGLE = VARIABLES.index("body")
 Shapes = Mapping[str, tuple[int, ...]]
 
 
@@ -54,7 +56,8 @@ class Cost:
 def chord(kappa: Any, angle: Any, mean: Any = 0, scale: Any = 1) -> list[sympy.Expr]:
     """Return the residuals of κ·s²·(1 − cos(angle − mean)), for s = 1 the cost of a von Mises density.
 
-    They are the chord √κ·s·(u(angle) − u(mean)) of two unit vectors; ``mean`` is an angle or a unit vector.
+    They are the chord √κ·s·(u(angle) − u(mean)) of two unit vectors. ``mean`` is an angle or such a vector;
+    numbers named ``cos`` and ``sin`` are taken for one.
     """
     import sympy
 
@@ -231,6 +234,10 @@ class Derived:
                     curve = residual.diff(symbols[i], symbols[j])
                     bent += first * r[k] * name(f"c{k}_{i}_{j}", curve) if curve != 0 else 0
                 sums[block], exactly[block] = newton, bent
+        if self._cost.loss is None and all(one.rank >= _FIRST_ANGLE for one in self._variables):
+            known = {sympy.Symbol(text, real=True): value for text, value in named.items()}
+            parts = {"cost": cost}, sums, exactly
+            return _stepwise(*({k: _reduced(v, known) for k, v in one.items()} for one in parts))
         return _stepwise({**named, "cost": cost}, sums, exactly)
 
     def _of_value(self) -> tuple[list[str], set[Any]]:
@@ -340,6 +347,18 @@ def _stepwise(
     lines += [f"        {name} += {text}" for name, text in zip(exactly, texts[len(sums) :], strict=True)]
     read = _symbols([*every, *(value for _, value in steps)]) - own - {symbol for symbol, _ in steps}
     return lines, read
+
+
+def _reduced(expression: Any, known: Mapping[Any, Any]) -> Any:
+    """Return an expression of angles without the names, and with sin² = 1 − cos²."""
+    import sympy
+
+    found = sympy.expand(_turned(sympy.sympify(expression).subs(known)))
+    for sin in found.free_symbols:
+        if sin.name.startswith(_UNIT_VECTORS):
+            cos = sympy.Symbol(sin.name.replace("_sin", "_cos"), real=True)
+            found = found.subs(sin**2, 1 - cos**2)
+    return sympy.factor_terms(sympy.expand(found))
 
 
 def _turned(expression: Any) -> Any:

@@ -195,30 +195,19 @@ def add_turning(angle_cos: Any, angle_cos_before: Any, angle_sin: Any, angle_sin
     hessian = sums.hessian
     hessian_before = sums.hessian_before
     transition = sums.transition
-    step_0 = math.sqrt(number_kappa)
-    step_1 = -angle_sin*step_0
-    step_2 = angle_sin_before*step_0
-    step_3 = angle_cos*step_0
-    step_4 = angle_cos_before*step_0
-    r0 = step_0*(angle_cos - angle_cos_before)
-    r1 = step_0*(angle_sin - angle_sin_before)
-    j0_0 = step_1
-    j0_1 = step_2
-    j1_0 = step_3
-    j1_1 = -step_4
-    c0_0_0 = -step_3
-    c1_0_0 = step_1
-    c0_1_1 = step_4
-    c1_1_1 = step_2
-    cost = (1/2)*r0**2 + (1/2)*r1**2
-    gradient[place] += j0_0*r0 + j1_0*r1
-    hessian[place, place] += j0_0**2 + j1_0**2
-    gradient_before[place] += j0_1*r0 + j1_1*r1
-    transition[place, place] += j0_0*j0_1 + j1_0*j1_1
-    hessian_before[place, place] += j0_1**2 + j1_1**2
+    step_0 = angle_cos*angle_cos_before + angle_sin*angle_sin_before
+    step_1 = step_0 - 1
+    step_2 = angle_cos*angle_sin_before - angle_cos_before*angle_sin
+    step_3 = number_kappa*step_1
+    cost = -number_kappa*step_1
+    gradient[place] += -number_kappa*step_2
+    hessian[place, place] += number_kappa
+    gradient_before[place] += number_kappa*step_2
+    transition[place, place] += -number_kappa*step_0
+    hessian_before[place, place] += number_kappa
     if exact:
-        hessian[place, place] += c0_0_0*r0 + c1_0_0*r1
-        hessian_before[place, place] += c0_1_1*r0 + c1_1_1*r1
+        hessian[place, place] += step_3
+        hessian_before[place, place] += step_3
     return cost
 
 
@@ -226,20 +215,12 @@ def add_turning(angle_cos: Any, angle_cos_before: Any, angle_sin: Any, angle_sin
 def add_observed_angle(angle_cos: Any, angle_sin: Any, exact: Any, number_cos: Any, number_kappa: Any, number_sin: Any, place: Any, sums: Any) -> float:
     gradient = sums.gradient
     hessian = sums.hessian
-    step_0 = math.sqrt(number_kappa)
-    step_1 = -angle_sin*step_0
-    step_2 = angle_cos*step_0
-    r0 = step_0*(angle_cos - number_cos)
-    r1 = step_0*(angle_sin - number_sin)
-    j0_0 = step_1
-    j1_0 = step_2
-    c0_0_0 = -step_2
-    c1_0_0 = step_1
-    cost = (1/2)*r0**2 + (1/2)*r1**2
-    gradient[place] += j0_0*r0 + j1_0*r1
-    hessian[place, place] += j0_0**2 + j1_0**2
+    step_0 = angle_cos*number_cos + angle_sin*number_sin - 1
+    cost = -number_kappa*step_0
+    gradient[place] += number_kappa*(-angle_cos*number_sin + angle_sin*number_cos)
+    hessian[place, place] += number_kappa
     if exact:
-        hessian[place, place] += c0_0_0*r0 + c1_0_0*r1
+        hessian[place, place] += number_kappa*step_0
     return cost
 
 
@@ -539,30 +520,19 @@ def cost_body_follows_motion(body_cos: Any, body_sin: Any, number_kappa: Any, nu
 def add_head_follows_body(body_cos: Any, body_sin: Any, exact: Any, head_cos: Any, head_sin: Any, number_head_body_kappa: Any, sums: Any) -> float:
     gradient = sums.gradient
     hessian = sums.hessian
-    step_0 = math.sqrt(number_head_body_kappa)
-    step_1 = body_sin*step_0
-    step_2 = -head_sin*step_0
-    step_3 = body_cos*step_0
-    step_4 = head_cos*step_0
-    r0 = step_0*(-body_cos + head_cos)
-    r1 = step_0*(-body_sin + head_sin)
-    j0_0 = step_1
-    j0_1 = step_2
-    j1_0 = -step_3
-    j1_1 = step_4
-    c0_0_0 = step_3
-    c1_0_0 = step_1
-    c0_1_1 = -step_4
-    c1_1_1 = step_2
-    cost = (1/2)*r0**2 + (1/2)*r1**2
-    gradient[4] += j0_0*r0 + j1_0*r1
-    hessian[4, 4] += j0_0**2 + j1_0**2
-    gradient[5] += j0_1*r0 + j1_1*r1
-    hessian[5, 4] += j0_0*j0_1 + j1_0*j1_1
-    hessian[5, 5] += j0_1**2 + j1_1**2
+    step_0 = body_cos*head_cos + body_sin*head_sin
+    step_1 = step_0 - 1
+    step_2 = body_cos*head_sin - body_sin*head_cos
+    step_3 = number_head_body_kappa*step_1
+    cost = -number_head_body_kappa*step_1
+    gradient[4] += -number_head_body_kappa*step_2
+    hessian[4, 4] += number_head_body_kappa
+    gradient[5] += number_head_body_kappa*step_2
+    hessian[5, 4] += -number_head_body_kappa*step_0
+    hessian[5, 5] += number_head_body_kappa
     if exact:
-        hessian[4, 4] += c0_0_0*r0 + c1_0_0*r1
-        hessian[5, 5] += c0_1_1*r0 + c1_1_1*r1
+        hessian[4, 4] += step_3
+        hessian[5, 5] += step_3
     return cost
 
 
@@ -832,20 +802,15 @@ def add_persistence(angle_cos: Any, angle_cos_before: Any, angle_sin: Any, angle
 def add_anchor(angle_cos: Any, angle_sin: Any, exact: Any, number_kappa: Any, number_start: Any, place: Any, sums: Any) -> float:
     gradient = sums.gradient
     hessian = sums.hessian
-    step_0 = math.sqrt(number_kappa)
-    step_1 = -angle_sin*step_0
-    step_2 = angle_cos*step_0
-    r0 = step_0*(angle_cos - math.cos(number_start))
-    r1 = step_0*(angle_sin - math.sin(number_start))
-    j0_0 = step_1
-    j1_0 = step_2
-    c0_0_0 = -step_2
-    c1_0_0 = step_1
-    cost = (1/2)*r0**2 + (1/2)*r1**2
-    gradient[place] += j0_0*r0 + j1_0*r1
-    hessian[place, place] += j0_0**2 + j1_0**2
+    step_0 = math.cos(number_start)
+    step_1 = angle_cos*step_0
+    step_2 = math.sin(number_start)
+    step_3 = angle_sin*step_2
+    cost = number_kappa*((1/2)*step_0**2 - step_1 + (1/2)*step_2**2 - step_3 + 1/2)
+    gradient[place] += number_kappa*(-angle_cos*step_2 + angle_sin*step_0)
+    hessian[place, place] += number_kappa
     if exact:
-        hessian[place, place] += c0_0_0*r0 + c1_0_0*r1
+        hessian[place, place] += number_kappa*(step_1 + step_3 - 1)
     return cost
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basin, unwind
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basin, unwind
 from graphtrack.inference.chain.covariance import (
     admit_rivals,
     find_covariances,
@@ -29,7 +29,6 @@ from graphtrack.inference.chain.newton import (
     Result,
     Workspace,
     copy_rows,
-    cost_of,
     minimise,
     workspace,
 )
@@ -70,14 +69,8 @@ def settle(solved: Solved, options: Options) -> tuple[Descent, float]:
     With ``search`` also from another basin with a lower predicted cost, and from reversed turns of 180°.
     """
     chain, states, memory = solved
-    begun, rival_cost = math.nan, math.inf
-    if options.search and find_other_basin(chain, states, AT_START, memory):
-        # Contradictory observations make a poor start and a long descent.
-        begun = cost_of(chain, states, memory)
-        copy_rows(0, chain.n, memory.again, states)
+    rival_cost = math.inf
     ended = minimise(chain, states, options.max_iterations, options.tolerance, memory)
-    if math.isfinite(begun):
-        ended = Descent(begun, ended.cost, ended.steps, ended.status, ended.exact)
     if options.search and find_other_basin(chain, states, AT_END, memory):
         ended, rival_cost = challenge(solved, options, ended, rival_cost)
     if unwind(chain, states, 4.0 * NEAR, memory):
