@@ -33,6 +33,7 @@ from graphtrack.association.likelihood import (
     state_after,
 )
 from graphtrack.association.matching import Edges
+from graphtrack.constant_velocity import compiled_spread
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -200,7 +201,7 @@ def most_dense(earlier: Row, before: FloatArray, later: Row, skipped: FloatArray
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
-            spread = before[4] + dt * dt * component[3] + scene.density * dt**3 / 3.0 + later.variance
+            spread = compiled_spread(before[4], 0.0, component[3], dt, scene.density)[0] + later.variance
             ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
             square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
             total += component[0] * math.exp(-square / spread) / spread
@@ -365,8 +366,8 @@ def gains_of_detections(
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
             bounds[0] += missed(later.frame - frame - 1, scene)
-            back[0], back[1], back[4] = later.x, later.y, later.variance
-            back[4] += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
+            back[0], back[1] = later.x, later.y
+            back[4] = compiled_spread(later.variance, 0.0, scene.speed_variance, dt, scene.density)[0]
             count = near_detections(
                 chains, back, math.nextafter(now, -math.inf), frame - 1, columns, grid, bounds, scene, near
             )

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import compiled_spread
 from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
@@ -297,10 +298,8 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: F
     """
     if is_new(before):
         return move_first(earlier, before, later, scene, state)
-    dt, q = later.t - earlier.t, scene.density
-    p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
-    pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
-    v = before[6] + q * dt
+    dt = later.t - earlier.t
+    p, pv, v = compiled_spread(before[4], before[5], before[6], dt, scene.density)
     x, y = before[0] + dt * before[2], before[1] + dt * before[3]
     spread = p + later.variance
     off_x, off_y = later.x - x, later.y - y
@@ -334,13 +333,12 @@ def is_new(state: FloatArray) -> bool:
 @compiled
 def move_first(earlier: Row, before: FloatArray, later: Row, scene: SceneRow, state: FloatArray) -> float:
     """`move` of a person who was detected once: the components of the velocity's prior are moment-matched."""
-    dt, q = later.t - earlier.t, scene.density
+    dt = later.t - earlier.t
     off_x, off_y = later.x - before[0], later.y - before[1]
     total, x, y, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0
     within_p, within_pv, within_v, between_p, between_pv, between_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for component in scene.velocities:
-        p = before[4] + dt * dt * component[3] + q * dt**3 / 3.0
-        pv, v = dt * component[3] + 0.5 * q * dt * dt, component[3] + q * dt
+        p, pv, v = compiled_spread(before[4], 0.0, component[3], dt, scene.density)
         spread = p + later.variance
         ahead_x, ahead_y = off_x - dt * component[1], off_y - dt * component[2]
         square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
@@ -397,8 +395,7 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: SceneRow, 
 @compiled
 def spread_after(dt: float, state: FloatArray, variance: float, scene: SceneRow) -> float:
     """Innovation variance (m²) on each axis, of a detection of that variance."""
-    q = scene.density
-    return state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + q * dt**3 / 3.0 + variance
+    return compiled_spread(state[4], state[5], state[6], dt, scene.density)[0] + variance
 
 
 @compiled

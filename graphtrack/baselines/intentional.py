@@ -20,12 +20,11 @@ import numpy as np
 from graphtrack.baselines.kalman import (
     FilteredStates,
     GaussianStates,
-    Transition,
     as_track,
     filter_tracks,
-    full_covariance,
     position_std,
 )
+from graphtrack.constant_velocity import Transition, full_covariance
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model.observation import require_position

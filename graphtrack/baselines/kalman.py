@@ -1,8 +1,4 @@
-"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part, over many tracks at once.
-
-Every matrix is a 2 × 2 matrix of position and velocity ⊗ I₂, so one covariance [[a, b], [b, c]] serves both
-axes.
-"""
+"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part, over many tracks at once."""
 
 from __future__ import annotations
 
@@ -10,44 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import (
+    Transition,
+    full_covariance,
+    predict,
+    process_noise,
+    transition_matrix,
+    update,
+    white_noise_acceleration,
+)
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.observation import require_position
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
-
-
-def transition_matrix(dt: float) -> FloatArray:
-    """F(Δt) (4, 4) for the state x, y, vx, vy."""
-    matrix = np.eye(4)
-    matrix[0, 2] = matrix[1, 3] = dt
-    return matrix
-
-
-def process_noise(dt: float, acceleration_density: float) -> FloatArray:
-    """Q(Δt) (4, 4) of white-noise acceleration, for the state x, y, vx, vy (the term Motion)."""
-    block = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    return acceleration_density * np.kron(block, np.eye(2))
-
-
-@dataclass(frozen=True, eq=False)
-class Transition:
-    """One step of m tracks: p ← p + f·v + shift_p, v ← g·v + shift_v, with noise; each (m,) or a number.
-
-    Attributes
-    ----------
-    reach : f, what of the velocity goes into the position
-    keep : g, what remains of the velocity
-    position_shift, velocity_shift : (m, 2), the control input B·u
-    noise : variance of the position, covariance with the velocity, variance of the velocity, on each axis
-    """
-
-    reach: FloatArray | float
-    keep: FloatArray | float
-    position_shift: FloatArray
-    velocity_shift: FloatArray
-    noise: tuple[FloatArray | float, FloatArray | float, FloatArray | float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +38,6 @@ class FilteredStates:
     predicted_mean: FloatArray
     predicted_spread: FloatArray
     log_likelihood: FloatArray
-
-
-def full_covariance(spread: FloatArray) -> FloatArray:
-    """Covariances (..., 4, 4) of x, y, vx, vy from their three numbers (..., 3)."""
-    # NaN, not 0, also between the axes of a track that has not begun.
-    found = np.zeros((*spread.shape[:-1], 4, 4)) + 0.0 * spread[..., :1, None]
-    for axis in (0, 1):
-        found[..., axis, axis] = spread[..., 0]
-        found[..., axis, axis + 2] = found[..., axis + 2, axis] = spread[..., 1]
-        found[..., axis + 2, axis + 2] = spread[..., 2]
-    return found
 
 
 def filter_tracks(
@@ -119,59 +80,6 @@ def filter_tracks(
     return FilteredStates(mean, spread, predicted_mean, predicted_spread, log_likelihood)
 
 
-def constant_velocity(dt: float, acceleration_density: float) -> Transition:
-    """Return a step of ``dt`` seconds of white-noise acceleration of density q in m²/s³."""
-    q, still = acceleration_density, np.zeros(2)
-    return Transition(dt, 1.0, still, still, (q * dt**3 / 3.0, q * dt**2 / 2.0, q * dt))
-
-
-def predict(mean: FloatArray, spread: FloatArray, step: Transition) -> tuple[FloatArray, FloatArray]:
-    """Return means (m, 4) and spreads (m, 3) a step later."""
-    reach, keep = np.asarray(step.reach)[..., None], np.asarray(step.keep)[..., None]
-    velocity = mean[:, 2:]
-    ahead = np.concatenate(
-        [mean[:, :2] + reach * velocity + step.position_shift, keep * velocity + step.velocity_shift], axis=1
-    )
-    a, b, c = spread.T
-    f, g = step.reach, step.keep
-    cross = b + f * c
-    return ahead, np.stack(
-        [a + f * (b + cross) + step.noise[0], g * cross + step.noise[1], g * g * c + step.noise[2]], axis=1
-    )
-
-
-def update(
-    mean: FloatArray,
-    spread: FloatArray,
-    observed: FloatArray,
-    variance: FloatArray,
-    has_position: NDArray[np.bool_],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means, spreads and log-likelihoods (m,) after positions (m, 2), where there are any."""
-    a, b, c = spread.T
-    innovation, total = observed - mean[:, :2], a + variance
-    log_likelihood = -np.log(2.0 * np.pi * total) - 0.5 * np.sum(innovation**2, axis=1) / total
-    gain = np.stack([a, a, b, b], axis=1) / total[:, None]
-    updated = mean + gain * np.concatenate([innovation, innovation], axis=1)
-    # Joseph's form, written out: variances stay positive whatever the rounding.
-    k, h = a / total, b / total
-    rest = 1.0 - k
-    narrowed = np.stack(
-        [
-            rest * rest * a + k * k * variance,
-            rest * (b - h * a) + k * h * variance,
-            c - 2.0 * h * b + h * h * a + h * h * variance,
-        ],
-        axis=1,
-    )
-    here = has_position[:, None]
-    return (
-        np.where(here, updated, mean),
-        np.where(here, narrowed, spread),
-        np.where(has_position, log_likelihood, np.nan),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class GaussianStates:
     """Means (n, 4) and covariances (n, 4, 4) of x, y, vx, vy; NaN before the first position."""
@@ -196,7 +104,7 @@ def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates,
         track.position[None],
         variance[None],
         motion.initial_speed_std**2,
-        lambda k, mean: constant_velocity(float(dt[k]), motion.acceleration_density),
+        lambda k, mean: white_noise_acceleration(float(dt[k]), motion.acceleration_density),
     )
     return (
         GaussianStates(found.mean[0], full_covariance(found.spread[0])),

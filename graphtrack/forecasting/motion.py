@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import predict_spread, update_spread, white_noise_acceleration
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import ParameterFile
 from graphtrack.saved import Saved
@@ -128,18 +129,17 @@ class MotionFilters(Saved):
         """Update the people of the slots ``at`` with new observations after ``dt`` seconds (n,)."""
         step = dt[:, None]
         noise = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
-        own, cross, speed = self._predicted(at, step)
+        ahead = self._predicted(at, step)
         velocity = self._velocity[at]
         predicted = self._position[at] + step * velocity
         error = position[:, None] - predicted
-        expected = own + noise
+        expected = ahead[..., 0] + noise
         distance = np.abs(error) ** 2 / expected
         # Restart the filter after a jump or an identity switch, which no noise hypothesis explains.
         lost = distance.min(axis=1) > _FARTHEST
-        gain, gain_speed = own / expected, cross / expected
-        mean = predicted + gain * error
-        velocity = velocity + gain_speed * error
-        variance = np.stack([own * (1 - gain), cross * (1 - gain), speed - gain_speed * cross], axis=2)
+        mean = predicted + ahead[..., 0] / expected * error
+        velocity = velocity + ahead[..., 1] / expected * error
+        variance = update_spread(ahead, noise)
         keep = np.exp(-step / _EVIDENCE_SECONDS)
         gained = -0.5 * np.minimum(distance, _FARTHEST) - np.log(expected)
         evidence = self._evidence[at] * keep + gained
@@ -154,14 +154,9 @@ class MotionFilters(Saved):
         self._position[at], self._velocity[at] = mean, velocity
         self._variance[at], self._evidence[at] = variance, evidence
 
-    def _predicted(
-        self, at: NDArray[np.int64], step: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the variances (n, K) of positions, between them and velocities, and of velocities, later."""
-        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
-        density = BELIEFS[:, 1]
-        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
-        return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
+    def _predicted(self, at: NDArray[np.int64], step: FloatArray) -> FloatArray:
+        """Return the variances (n, K, 3), as in `MotionMixture`, after seconds (n, 1)."""
+        return predict_spread(self._variance[at], white_noise_acceleration(step, BELIEFS[:, 1]))
 
     def learn(self, at: NDArray[np.int64], share: float) -> None:
         """Shift the scene's prior over hypotheses towards that of the people in the slots ``at``."""
@@ -178,7 +173,7 @@ class MotionFilters(Saved):
         weights, step = self._weights(at), ahead[:, None]
         velocities = self._velocity[at]
         positions = self._position[at] + step * velocities
-        own, cross, speed = self._predicted(at, step)
+        own, cross, speed = np.moveaxis(self._predicted(at, step), 2, 0)
         position, velocity = (weights * positions).sum(axis=1), (weights * velocities).sum(axis=1)
         off, drift = positions - position[:, None], velocities - velocity[:, None]
         between = (

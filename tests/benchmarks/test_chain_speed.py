@@ -20,7 +20,7 @@ from costs import build_graph
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
-from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constant_velocity import process_noise, transition_matrix
 from graphtrack.inference import Solution, smooth_track
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.model import Model

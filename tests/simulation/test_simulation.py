@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from graphtrack import InputError
-from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constant_velocity import process_noise, transition_matrix
 from graphtrack.geometry.angles import difference, direction, mean_resultant_length
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.motion import sample_course, sample_positions, sample_velocity
