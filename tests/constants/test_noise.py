@@ -55,11 +55,12 @@ def walks(
 # -- evidence ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("std", [0.0, 0.3])
-def test_evidence_with_persistent_errors_is_the_exact_density_of_the_positions(std: float) -> None:
+@pytest.mark.parametrize(("std", "density"), [(0.0, 0.01), (0.0, 0.3), (0.0, 10.0), (0.3, 0.2)])
+def test_evidence_is_the_exact_density_of_the_positions(std: float, density: float) -> None:
     (track,) = walks(0, along=std, across=std, people=1).tracks
-    track = track[np.flatnonzero(np.arange(40) % 7 != 3)]
-    t, density, parameters = track.t - track.t[0], 0.2, Parameters()
+    seen = np.arange(len(track)) % 7 != 3
+    gaps, track = replace(track, position=np.where(seen[:, None], track.position, np.nan)), track[seen]
+    t, parameters = track.t - track.t[0], Parameters()
     low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
     covariance = 0.01 * np.eye(len(t)) + parameters.motion.initial_speed_std**2 * np.outer(t, t)
     covariance += density * low**2 * (3.0 * high - low) / 6.0 + std**2 * matern(np.subtract.outer(t, t))
@@ -70,7 +71,7 @@ def test_evidence_with_persistent_errors_is_the_exact_density_of_the_positions(s
         stats.multivariate_normal(np.zeros(len(t) - 1), spread).logpdf(contrast @ track.position[:, axis])
         for axis in range(2)
     )
-    found, errors = motion_evidence([track], parameters, np.array([density]), None, Persistent(std, std))
+    found, errors = motion_evidence([gaps], parameters, np.array([density]), None, Persistent(std, std))
     expected += (len(t) - 1) * np.log(1.0 - OUTLIERS)
     assert found[0, 0] == pytest.approx(expected, abs=0.05) and errors[0, 0] < 0.05
 

@@ -28,7 +28,7 @@ from graphtrack.experiments.baxter_caviar import (
     spread,
     with_noise,
 )
-from graphtrack.experiments.baxter_statistics import deviation_statistics, travel_velocity
+from graphtrack.experiments.baxter_statistics import travel_velocity
 from graphtrack.experiments.harness import GRAPHS, ISAM2, Fitted
 from graphtrack.geometry.angles import difference, direction, unit, wrap
 from graphtrack.model import Model
@@ -65,15 +65,6 @@ def test_who_is_not_detected_shows_no_head_and_the_truth_stays() -> None:
     np.testing.assert_array_equal(there, np.isfinite(np.asarray(seen.head)))
     np.testing.assert_array_equal(seen.true_position, track.true_position)
     np.testing.assert_array_equal(detected(track, 1.0, np.random.default_rng(1)).position, track.position)
-
-
-def test_how_far_heads_are_off() -> None:
-    track = labelled_walk()
-    travel = direction(travel_velocity(track))
-    found = deviation_statistics([replace(track, head=wrap(travel - 0.3))], "one")
-    assert found is not None
-    assert found.mean == pytest.approx(0.3) and found.std == pytest.approx(0.0, abs=1e-6)
-    assert deviation_statistics([replace(track, head=np.full(200, np.nan))], "none") is None
 
 
 def test_shuffled_heads_keep_their_deviations() -> None:

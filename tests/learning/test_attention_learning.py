@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from command import run as run_program
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.interaction.attention import AttentionParameters, attention
+from graphtrack.interaction.parameters import GroupParameters
 from graphtrack.interaction.scores import score_gaze
 from graphtrack.interaction.tables import NOBODY, LookLabels
 from graphtrack.learning.interaction import fit_attention
@@ -70,17 +73,25 @@ def test_labels_of_others_and_of_no_look_are_told() -> None:
         assert message in str(told.value)
 
 
-def test_parameters_come_back_from_their_file(tmp_path: Path) -> None:
-    path = tmp_path / "learned.toml"
-    parameters = AttentionParameters(look_std=0.21, nothing=0.4)
+LEARNED = [
+    (AttentionParameters(look_std=0.21, nothing=0.4), "attention", "look_std = 9.0"),
+    (gt.ForecastParameters(place_distance=2.5, tail_share=0.4), "forecast", "place_distance = -1.0"),
+    (GroupParameters(stride=0.6), "groups", "stride = -1.0"),
+]
+
+
+@pytest.mark.parametrize(("parameters", "table", "wrong"), LEARNED)
+def test_parameters_come_back_from_their_file(
+    parameters: Any, table: str, wrong: str, tmp_path: Path
+) -> None:
+    path, load = tmp_path / "learned.toml", type(parameters).load
     parameters.save(path)
-    assert AttentionParameters.load(path) == parameters
-    path.write_text("[attention]\nlook_std = 9.0\n")
-    with pytest.raises(InputError, match=r"attention\.look_std = 9\.0"):
-        AttentionParameters.load(path)
-    path.write_text("")
-    with pytest.raises(InputError, match="no table \\[attention\\]"):
-        AttentionParameters.load(path)
+    assert load(path) == parameters
+    model = "[motion]\nacceleration_density = 1\n"
+    for text, told in ((f"[{table}]\n{wrong}\n", wrong), ("", f"no table [{table}]"), (model, "model file")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=re.escape(told)):
+            load(path)
 
 
 def test_the_commands_learn_and_judge(tmp_path: Path) -> None:

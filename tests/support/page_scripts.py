@@ -79,3 +79,11 @@ def delta_decode(codes, step, n):
             last += code
             out[i] = last * step
     return out
+
+
+def decoded(data):
+    """Return JavaScript that makes the people of a replay's data."""
+    return (
+        f"const data = {json.dumps(data)};"
+        "const people = data.people.map((coded) => decodePerson(coded, data.steps));"
+    )

@@ -116,7 +116,7 @@ def test_it_is_that_of_stone_soup():
     assert CUTOFF * gospa_counts(frames).gospa == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
 
 
-NAMES = (
+NAMES = [
     "CNNTCM",
     "EAMTT",
     "JointMC",
@@ -129,7 +129,7 @@ NAMES = (
     "SORT",
     "TDAM",
     "TSML_CDE",
-)
+]
 
 
 @pytest.fixture(scope="module")
