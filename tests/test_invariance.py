@@ -1,7 +1,5 @@
 """Origins of time, of frames and of the ground, its axes, and rounded times change no command's result."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass

@@ -1,7 +1,5 @@
 """The structure of the packages: the order in which rooms import each other, circles, sizes, and the map."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy

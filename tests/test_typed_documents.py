@@ -1,7 +1,5 @@
 """Python of README and docs passes ``mypy --strict``, as a reader with the package installed would run it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Data association of detections without identities; false detections are left out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

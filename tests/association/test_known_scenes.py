@@ -1,7 +1,5 @@
 """Known parameters of a scene are kept, and the others learned: offline, online, on the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

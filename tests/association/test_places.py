@@ -1,7 +1,5 @@
 """Rates of birth, death and clutter over the ground, and velocities steered by body and head."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

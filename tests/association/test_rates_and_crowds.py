@@ -1,7 +1,5 @@
 """What is learned of a scene, and the identities, at any rate, any number of people and from any start."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from crossing_people import idf1, packed_square, run_online, street

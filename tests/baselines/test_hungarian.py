@@ -1,7 +1,5 @@
 """The plain tracker equals its documented filter, and confirms and deletes tracks by its rules."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter

@@ -4,8 +4,6 @@ The baseline holds ratios of processor time, which other work on the machine har
 time, where the chain engine has two threads, must reach a bar when the machine is otherwise idle.
 """
 
-from __future__ import annotations
-
 import os
 import time
 import tracemalloc

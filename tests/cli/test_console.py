@@ -1,7 +1,5 @@
 """Exit of commands at errors of files and of the machine, and progress where there is no terminal."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """`graphtrack view -`: the viewer shows the answers."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

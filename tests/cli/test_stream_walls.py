@@ -1,7 +1,5 @@
 """Walkable areas of streams: `graphtrack track - --walkable`, its saved state, and the service."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tests of the declared noise: multipliers, biases, and their correction."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Noise learned where none is declared: exact densities, recovery, and offsets as variables of the graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Constants of each person: evidence against exact densities, and what must not change a result."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

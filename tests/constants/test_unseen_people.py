@@ -1,7 +1,5 @@
 """Learned constants on real people, against a filter that learns its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

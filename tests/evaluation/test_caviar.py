@@ -1,7 +1,5 @@
 """Baxter et al.'s Fig. 5 on CAVIAR: selected people, their observations, and the parts of the gains."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

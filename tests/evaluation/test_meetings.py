@@ -1,7 +1,5 @@
 """Meetings are made of clips as they are, and switches are counted by whose a detection is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of states: plain arithmetic, calibration, and rows compared with the people that they match."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Groups among independent people: few are found, and true groups are kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

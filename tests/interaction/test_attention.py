@@ -1,7 +1,5 @@
 """Attention: calibrated on simulated gaze, joint posteriors, occluding people, and places."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Groups: their invariances, their state, and their files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

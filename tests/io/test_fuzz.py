@@ -1,7 +1,5 @@
 """Random files: every reader returns or raises a `GraphtrackError` of one line."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

@@ -1,7 +1,5 @@
 """Files that are made to break a reader or a writer: one error each, in bounded time and memory."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

@@ -1,7 +1,5 @@
 """Long texts of few characters: every reader ends soon, since it works in linear time."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

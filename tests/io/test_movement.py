@@ -1,7 +1,5 @@
 """Datasets of movement, DeepLabCut and SLEAP: poses as observations, and tracks there and back."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import sys

@@ -1,7 +1,5 @@
 """Damaged companions and cameras: a reader gives tracks or a `GraphtrackError`, nothing else, and soon."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from pathlib import Path

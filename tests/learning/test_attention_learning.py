@@ -1,7 +1,5 @@
 """Attention parameters are learned from labelled gaze, and hold on held-out people."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A camera that adapts itself: labels, alignment, learning, and rejected input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

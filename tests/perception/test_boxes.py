@@ -1,7 +1,5 @@
 """Boxes of people from files: their frames, what is used, skipped with a report, and refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every classifier through the same battery."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from copy import copy

@@ -1,7 +1,5 @@
 """The tables: rates, clips with their truth, and the command that prints them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

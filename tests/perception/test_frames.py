@@ -1,7 +1,5 @@
 """Frames of videos and folders: used, reported and refused."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """A room under a fisheye camera: calibration, ground positions, and a robot in place of the person."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Appearance descriptors: their invariances, and that they distinguish people."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

@@ -1,7 +1,5 @@
 """The mixed-state tracker and its exemplars against the equations of Ba & Odobez 2003."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

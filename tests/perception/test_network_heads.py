@@ -1,7 +1,5 @@
 """Heads by the network: splits of its last layer, heads of CAVIAR's frames, and known poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

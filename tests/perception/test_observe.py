@@ -1,7 +1,5 @@
 """`perception observe`: its output, skipped rows, messages and drawings, and resuming."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
 

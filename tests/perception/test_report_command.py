@@ -1,7 +1,5 @@
 """`perception report`: the content of its folder, its messages, and resuming."""
 
-from __future__ import annotations
-
 import gc
 import shutil
 import tracemalloc

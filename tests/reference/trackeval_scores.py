@@ -5,8 +5,6 @@
 take the place of the opencv-python-headless that the package needs.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Births, deaths, gaps, joins and switches: the page agrees with the tracks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import groupby
 

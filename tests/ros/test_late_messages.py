@@ -1,7 +1,5 @@
 """Messages of several sensors, out of sequence or of one time: used, or counted and reported."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

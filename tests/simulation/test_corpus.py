@@ -1,7 +1,5 @@
 """The corpus of the intentional tracker's paper, and strollers of another model than the estimator's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

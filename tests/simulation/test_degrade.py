@@ -1,7 +1,5 @@
 """Added noise, simulated classifiers and detectors have their statistics; windows are at turns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Simulated tracks and courses of angles have the statistics of the model they are sampled from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

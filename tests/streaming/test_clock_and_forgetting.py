@@ -1,7 +1,5 @@
 """Clocks that jump, and what streams keep while people, streams and time come and go."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every function that reads a file or a line from outside, each with a small valid input."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

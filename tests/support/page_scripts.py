@@ -1,7 +1,5 @@
 """Running the page's own scripts, in node or in a browser, where there is one."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -1,7 +1,5 @@
 """Recordings of tracks, read back: they hold the table's values, at the same times."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path
