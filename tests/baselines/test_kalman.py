@@ -93,11 +93,7 @@ def track_with(gaps: str, *, uneven: bool, own_std: bool = False) -> Track:
 
 
 @settings(max_examples=40)
-@given(
-    seed=st.integers(0, 10_000),
-    dt=st.floats(1e-3, 5.0),
-    density=st.floats(0.01, 20.0),
-)
+@given(seed=st.integers(0, 10_000), dt=st.floats(1e-3, 5.0), density=st.floats(0.01, 20.0))
 def test_every_form_of_a_prediction_is_the_continuous_model_integrated(
     seed: int, dt: float, density: float
 ) -> None:
@@ -191,8 +187,7 @@ def test_estimates_hold_no_observations_any_more() -> None:
 
 
 @pytest.mark.parametrize(
-    "estimator",
-    [kalman_filter, rauch_tung_striebel, intentional_tracker, particle_filter, particle_smoother],
+    "estimator", [kalman_filter, rauch_tung_striebel, intentional_tracker, particle_filter, particle_smoother]
 )
 def test_a_track_without_a_position_names_itself(estimator: Callable[[Track], Track]) -> None:
     track = replace(walk(5, track_id=42), position=np.full((5, 2), np.nan))

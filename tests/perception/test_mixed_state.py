@@ -10,11 +10,7 @@ import pytest
 from scipy.special import softmax
 
 from graphtrack.errors import InputError
-from perception.experiments.head_trackers import (
-    followed,
-    scored,
-    tracking_error,
-)
+from perception.experiments.head_trackers import followed, scored, tracking_error
 from perception.images.pixels import enlarged, grey_stack
 from perception.models import model_path
 from perception.pose.classes import PoseClasses

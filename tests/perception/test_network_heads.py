@@ -20,14 +20,7 @@ from perception.experiments.baxter_network import (
     upright_head,
 )
 from perception.experiments.chen_pixels import classified
-from perception.experiments.street_heads import (
-    APART,
-    BEFORE,
-    FEWEST,
-    HIDDEN,
-    street_people,
-    windows,
-)
+from perception.experiments.street_heads import APART, BEFORE, FEWEST, HIDDEN, street_people, windows
 from perception.models import load_classifier
 from perception.pose.classes import PoseClasses
 from perception.pose.deep_belief import DeepBelief

@@ -17,13 +17,7 @@ from perception.adaptation.labels import walking_labels
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, upright_picture
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
-from perception.observe.pipeline import (
-    Models,
-    PersonObservation,
-    by_frame,
-    head_in_image,
-    observe_frame,
-)
+from perception.observe.pipeline import Models, PersonObservation, by_frame, head_in_image, observe_frame
 from perception.observe.tables import to_tracks
 from perception.pose.classes import PoseClasses, world_likelihood
 from perception.pose.head_detection import HeadCandidates

@@ -145,10 +145,7 @@ OPTION_FILES = (
         read_attention,
     ),
     InputReader(
-        "places",
-        "places.csv",
-        b"name,x,y,radius,polygon\ndoor,1,2,.5,\nwall,,,,0 0 1 0 1 1\n",
-        read_places,
+        "places", "places.csv", b"name,x,y,radius,polygon\ndoor,1,2,.5,\nwall,,,,0 0 1 0 1 1\n", read_places
     ),
     InputReader(
         "forecasts",
