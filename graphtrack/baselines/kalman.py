@@ -11,7 +11,7 @@ from graphtrack.constant_velocity import (
     Transition,
     full_covariance,
     predict,
-    process_noise,
+    predict_covariance,
     transition_matrix,
     update,
     white_noise_acceleration,
@@ -124,12 +124,10 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
         mean[k] += gain @ (mean[k + 1] - predicted.mean[k + 1])
         covariance[k] += gain @ (covariance[k + 1] - spread_ahead) @ gain.T
     for k in range(start - 1, -1, -1):
-        # No information of their own: x_k = F⁻¹(x_{k+1} − w).
+        # No information of their own: x_k = F⁻¹(x_{k+1} − w), and F⁻¹QF⁻ᵀ is the noise of −Δt and −q.
         dt = float(track.t[k + 1] - track.t[k])
-        back = transition_matrix(-dt)
-        mean[k] = back @ mean[k + 1]
-        noise = process_noise(dt, parameters.motion.acceleration_density)
-        covariance[k] = back @ (covariance[k + 1] + noise) @ back.T
+        mean[k] = transition_matrix(-dt) @ mean[k + 1]
+        covariance[k] = predict_covariance(covariance[k + 1], -dt, -parameters.motion.acceleration_density)
     return GaussianStates(mean, covariance)
 
 
