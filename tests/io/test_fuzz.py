@@ -333,15 +333,9 @@ def contents(content: bytes, text: bytes) -> Iterator[bytes]:
 
 def read_all(part: int, seed: int, singles: int, pairs: int) -> None:
     """Read texts with a part of the readers; what is read is printed before, so that a hang names it."""
-    from input_readers import OPTION_FILES, format_readers
-
-    from graphtrack.errors import GraphtrackError
-
     warnings.simplefilter("ignore")
     with TemporaryDirectory() as folder:
-        for k, one in enumerate((*OPTION_FILES, *format_readers(Path(folder)))):
-            if k % PARTS != part:
-                continue
+        for k, one in list(enumerate(READERS))[part::PARTS]:
             for text in texts(seed + k, singles, pairs):
                 for place, content in enumerate(contents(one.content, text)):
                     print(one.label, text[:2], place, flush=True)
@@ -359,10 +353,10 @@ def read_all(part: int, seed: int, singles: int, pairs: int) -> None:
 def test_a_mebibyte_of_few_characters_is_read_or_refused_soon(part: int, singles: int, pairs: int) -> None:
     command = [sys.executable, __file__, *map(str, (part, SEED, singles, pairs))]
     hang = HANG if singles < len(CHARACTERS) else 4 * HANG
-    done = subprocess.run(command, capture_output=True, text=True, timeout=hang, check=False)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=hang, check=False, env=environment)
     assert done.returncode == 0, (done.stdout[-200:], done.stderr[-2000:])
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
     read_all(*map(int, sys.argv[1:]))
