@@ -9,8 +9,6 @@ A rewrite of the solver is compared with the version before it::
 Offline answers are to agree to 1e-8 and online answers to 1e-6 (m, m/s, rad and their covariances).
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Short texts and tables of objects, in which labels are text."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Callable

@@ -2,11 +2,18 @@
 
 import doctest
 import re
+import subprocess
+import sys
+import tomllib
 from importlib import import_module
+from pathlib import Path
 
 import griffe
 import pytest
-from documents import ROOT
+from documents import ROOT, Block, blocks
+
+import graphtrack as gt
+from graphtrack.io.options import FileReading, Reading, ReadOptions
 
 ENTRIES = re.findall(
     r"^::: ([\w.]+)$",
@@ -69,3 +76,127 @@ def test_each_parameter_has_its_own_type_and_default(packages):
                 if own is not None and own.is_attribute and str(item.annotation) != str(own.annotation):
                     wrong.append(f"{one.path}.{item.name}: {item.annotation}")
     assert checked > 300 and not wrong
+
+
+PAGES = ["README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md"))]
+FRAGMENT = re.compile(r"<!-- fragment: (.+?) -->\n+```python\n")
+"""Comment above a block that is not checked, with the reason."""
+FRAGMENTS: dict[str, int] = {}
+"""Blocks of each page that are marked so."""
+
+
+def module_name(page: str) -> str:
+    return re.sub(r"\W", "_", page.removesuffix(".md").lower())
+
+
+def checked(page: str) -> list[Block]:
+    """The Python blocks of a page but fragments."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    left_out = {text[found.end() :].split("```", 1)[0] for found in FRAGMENT.finditer(text)}
+    return [block for block in blocks(page) if block.kind == "python" and block.text not in left_out]
+
+
+def mypy(folder: Path, *files: str) -> str:
+    """mypy's output about files; it reports nothing about their imports.
+
+    Of this repository's settings it has one: it does not look into packages without which graphtrack works or
+    that have no types.
+    """
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--no-error-summary"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["mypy"]
+    (skipped,) = (one["module"] for one in settings["overrides"] if one.get("follow_imports") == "skip")
+    ours = "follow_imports = skip\nignore_missing_imports = true\n"
+    (folder / "mypy.ini").write_text(f"[mypy]\n[mypy-{','.join(skipped)}]\n{ours}")
+    done = subprocess.run(
+        [*command, "--config-file", "mypy.ini", "--python-version", "3.11", *files],
+        cwd=folder,
+        env={"MYPYPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=1200,
+    )
+    assert done.returncode in (0, 1), done.stderr
+    return done.stdout
+
+
+WRONG = {
+    "an option of reading that is none": "gt.read('x.csv', nonsense=3)",
+    "an option of another type": "gt.read('x.csv', fps='25')",
+    "an option of smoothing that is none": "gt.smooth('x.csv', nonsense=3)",
+    "an option of tracking that is none": "gt.track_online('x.csv', nonsense=3)",
+    "an option of an adapter that is none": "gt.from_supervision([], fps=25, nonsense=3)",
+    "a label in brackets": "gt.read('x.csv')['anna']",
+    "a text for a number": "gt.read('x.csv').by_id('7')",
+}
+RIGHT = """
+import graphtrack as gt
+import numpy as np
+import numpy.typing as npt
+
+def of_track(track: gt.Track) -> npt.NDArray[np.float64]:
+    smoothed: gt.Track = gt.smooth(track, fill=True, engine="chain")
+    return smoothed.std("x")
+
+def of_file(path: str) -> gt.TrackSet:
+    online: gt.TrackSet = gt.track_online(path, lag=1.0, fps=25.0)
+    return gt.smooth(online[:2], resample=5.0)
+"""
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """The errors of each module, of one run of mypy on all of them."""
+    folder = tmp_path_factory.mktemp("typed")
+    sources = {
+        module_name(page): "\n\n".join(b.text for b in checked(page)) for page in PAGES if checked(page)
+    }
+    wrong = [f"def case_{k}() -> object:\n    return {line}\n" for k, line in enumerate(WRONG.values())]
+    sources |= {"right": RIGHT, "wrong": "import graphtrack as gt\n\n" + "\n".join(wrong)}
+    for name, text in sources.items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    found: dict[str, list[str]] = {name: [] for name in sources}
+    for line in mypy(folder, *(f"{name}.py" for name in sources)).splitlines():
+        found[line.split(".py:", 1)[0]].append(line)
+    return found
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if checked(page)])
+def test_the_python_of_a_page_is_typed(page: str, told: dict[str, list[str]]) -> None:
+    assert told[module_name(page)] == []
+
+
+def test_what_is_wrong_is_an_error_of_mypy(told: dict[str, list[str]]) -> None:
+    errors = [line for line in told["wrong"] if " error: " in line]
+    assert {int(line.split(":")[1]) for line in errors} == {4 + 3 * k for k in range(len(WRONG))}
+    assert told["right"] == []
+
+
+def test_blocks_that_are_not_checked_are_known() -> None:
+    marked = {
+        page: len(found) for page in PAGES if (found := FRAGMENT.findall((ROOT / page).read_text("utf-8")))
+    }
+    assert marked == FRAGMENTS
+
+
+def test_names_of_options_are_the_fields_of_read_options() -> None:
+    fields = {name: one.type for name, one in ReadOptions.__dataclass_fields__.items()}
+    assert {name: str(kind.__forward_arg__) for name, kind in Reading.__annotations__.items()} == fields
+    assert set(FileReading.__annotations__) - set(fields) == {"format"}
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: gt.read("x.csv", nonsense=3),  # type: ignore[call-arg]
+        lambda: gt.smooth("x.csv", nonsense=3),  # type: ignore[call-overload]
+        lambda: gt.track_online("x.csv", nonsense=3),  # type: ignore[call-overload]
+        lambda: gt.associate("x.csv", nonsense=3),  # type: ignore[call-arg]
+        lambda: gt.from_supervision([], fps=25.0, nonsense=3),  # type: ignore[call-arg]
+        lambda: gt.from_ultralytics([], fps=25.0, nonsense=3),  # type: ignore[call-arg]
+        lambda: gt.from_movement(None, nonsense=3),  # type: ignore[call-arg]
+    ],
+)
+def test_unknown_options_are_errors_at_run_time(call: object) -> None:
+    assert callable(call)
+    with pytest.raises(gt.InputError, match="unknown options nonsense"):
+        call()

@@ -1,7 +1,5 @@
 """Arguments of the public functions: each form works, or one error names the expected value."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Origins of time, of frames and of the ground, its axes, and rounded times change no command's result."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
@@ -185,8 +183,11 @@ def forecast(table: pd.DataFrame) -> Result:
     """`forecast`."""
     found = gt.forecast(gt.read(table), horizon=2.0, every=0.8).columns
     labels = np.column_stack([found["track_id"], found["frame"] - table.frame.min()]).tolist()
-    numbers = np.column_stack([found["radius_50"], found["radius_90"]])
-    return Result(np.column_stack([found["x"], found["y"]]), np.zeros(0), labels, numbers.ravel())
+    spread = np.array(
+        [[found["x_std"] ** 2, found["xy_cov"]], [found["xy_cov"], found["y_std"] ** 2]], dtype=float
+    ).T
+    sizes = np.column_stack([found["radius_50"], found["radius_90"], np.linalg.eigvalsh(spread)])
+    return Result(np.column_stack([found["x"], found["y"]]), np.zeros(0), labels, sizes.ravel())
 
 
 def grouped(table: pd.DataFrame, *, online: bool) -> Result:

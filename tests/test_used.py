@@ -1,7 +1,5 @@
 """What is given is used, refused or named in a note: every public field at every entry point."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Callable

@@ -34,6 +34,7 @@ from graphtrack.association.likelihood import (
     state_after,
 )
 from graphtrack.association.matching import Edges
+from graphtrack.constant_velocity import compiled_spread
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -220,7 +221,8 @@ def most_dense(earlier: Row, before: State, later: Row, skipped: FloatArray, sce
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
-            spread = before.pp + dt * dt * component.variance + scene.density * dt**3 / 3.0 + later.variance
+            spread = compiled_spread(before.pp, 0.0, component.variance, dt, scene.density)[0]
+            spread += later.variance
             ahead_x, ahead_y = off_x - dt * component.vx, off_y - dt * component.vy
             square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
             total += component.weight * math.exp(-square / spread) / spread
@@ -384,8 +386,8 @@ def gains_of_detections(
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
             bounds[0] += log_gap(later.frame - frame - 1, scene)
-            back[0].x, back[0].y, back[0].pp = later.x, later.y, later.variance
-            back[0].pp += dt * dt * scene.speed_variance + scene.density * dt**3 / 3.0
+            back[0].x, back[0].y = later.x, later.y
+            back[0].pp = compiled_spread(later.variance, 0.0, scene.speed_variance, dt, scene.density)[0]
             count = near_detections(
                 chains, back[0], math.nextafter(now, -math.inf), frame - 1, grid, bounds, scene, near
             )

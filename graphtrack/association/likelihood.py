@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import compiled_spread
 from graphtrack.geometry.angles import FloatArray, class_centres
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
@@ -327,10 +328,8 @@ def kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state:
     """
     if is_new(before):
         return first_kalman_step(earlier, before, later, scene, state)
-    dt, q = later.t - earlier.t, scene.density
-    p = before.pp + 2.0 * dt * before.pv + dt * dt * before.vv + q * dt**3 / 3.0
-    pv = before.pv + dt * before.vv + 0.5 * q * dt * dt
-    v = before.vv + q * dt
+    dt = later.t - earlier.t
+    p, pv, v = compiled_spread(before.pp, before.pv, before.vv, dt, scene.density)
     x, y = before.x + dt * before.vx, before.y + dt * before.vy
     spread = p + later.variance
     off_x, off_y = later.x - x, later.y - y
@@ -364,13 +363,12 @@ def is_new(state: State) -> bool:
 @compiled
 def first_kalman_step(earlier: Row, before: State, later: Row, scene: SceneRow, state: State) -> float:
     """`kalman_step` of a person who was detected once, with the components of the velocity's prior."""
-    dt, q = later.t - earlier.t, scene.density
+    dt = later.t - earlier.t
     off_x, off_y = later.x - before.x, later.y - before.y
     total, x, y, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0
     within_p, within_pv, within_v, between_p, between_pv, between_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for component in scene.velocities:
-        p = before.pp + dt * dt * component.variance + q * dt**3 / 3.0
-        pv, v = dt * component.variance + 0.5 * q * dt * dt, component.variance + q * dt
+        p, pv, v = compiled_spread(before.pp, 0.0, component.variance, dt, scene.density)
         spread = p + later.variance
         ahead_x, ahead_y = off_x - dt * component.vx, off_y - dt * component.vy
         square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
@@ -430,8 +428,7 @@ def extend_track(chains: Chains, before: State, k: int, m: int, scene: SceneRow,
 @compiled
 def spread_after(dt: float, state: State, variance: float, scene: SceneRow) -> float:
     """Innovation variance (m²) on each axis, of a detection of that variance."""
-    q = scene.density
-    return state.pp + 2.0 * dt * state.pv + dt * dt * state.vv + q * dt**3 / 3.0 + variance
+    return compiled_spread(state.pp, state.pv, state.vv, dt, scene.density)[0] + variance
 
 
 @compiled

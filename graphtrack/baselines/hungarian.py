@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.baselines.kalman import AXIS, constant_velocity, full_covariance, predict, update
+from graphtrack.constant_velocity import (
+    AXIS,
+    full_covariance,
+    predict,
+    update,
+    white_noise_acceleration,
+)
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections, with_those_between
@@ -105,7 +111,7 @@ class HungarianTracker:
         for name in ("_mean", "_spread", "_identity", "_age", "_hits", "_last"):
             setattr(self, name, getattr(self, name)[kept])
         if len(self._mean):
-            step = constant_velocity(t - self._t, self.parameters.acceleration_density)
+            step = white_noise_acceleration(t - self._t, self.parameters.acceleration_density)
             self._mean, self._spread = predict(self._mean, self._spread, step)
         track_of = self._assign(position, variance)
         hit = np.flatnonzero(track_of >= 0)

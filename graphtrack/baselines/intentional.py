@@ -18,15 +18,13 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.baselines.kalman import (
-    AxisNoise,
     FilteredStates,
     GaussianStates,
-    Transition,
     as_track,
     filter_tracks,
-    full_covariance,
     position_std,
 )
+from graphtrack.constant_velocity import AxisNoise, Transition, full_covariance
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model.observation import require_position

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import compiled_noise, compiled_spread
 from graphtrack.geometry.angles import (
     FloatArray,
     class_kappa,
@@ -177,9 +178,7 @@ def predict_path(row: Any, dt: float, density: float) -> None:
     """Move a filter of positions ahead, in place."""
     row[0] += dt * row[2]
     row[1] += dt * row[3]
-    row[4] += dt * (2.0 * row[5] + dt * row[6]) + density * dt * dt * dt / 3.0
-    row[5] += dt * row[6] + 0.5 * density * dt * dt
-    row[6] += density * dt
+    row[4], row[5], row[6] = compiled_spread(row[4], row[5], row[6], dt, density)
 
 
 @inner
@@ -317,10 +316,11 @@ def filter_persistent(
                         mean[3, axis] = step[3, 2] * error + step[3, 3] * change
                     multiply(step, spread, moved)
                     multiply(moved, step.T, spread)
-                    spread[0, 0] += density * h * h * h / 3.0
-                    spread[0, 1] += 0.5 * density * h * h
-                    spread[1, 0] += 0.5 * density * h * h
-                    spread[1, 1] += density * h
+                    place, cross, speed = compiled_noise(h, density)
+                    spread[0, 0] += place
+                    spread[0, 1] += cross
+                    spread[1, 0] += cross
+                    spread[1, 1] += speed
                     # The process is stationary.
                     spread[2, 2] += persistent - step[2, 2] ** 2 * persistent - step[2, 3] ** 2 * slope
                     both = step[2, 2] * step[3, 2] * persistent + step[2, 3] * step[3, 3] * slope

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.kalman import filter_states
+from graphtrack.constant_velocity import predict_spread, white_noise_acceleration
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
@@ -250,9 +251,8 @@ def _references(
         mean, spread = states.mean[last], states.covariance[last]
         since = (made[rows] - t[last])[:, None] + ahead
         filtered[rows, :, :2] = mean[:, None, :2] + since[..., None] * mean[:, None, 2:]
-        own, cross, speed = spread[:, 0, 0], spread[:, 0, 2], spread[:, 2, 2]
-        variance = own[:, None] + 2.0 * since * cross[:, None] + since**2 * speed[:, None]
-        filtered[rows, :, 2] = variance + density * since**3 / 3.0
+        step = white_noise_acceleration(since, density)
+        filtered[rows, :, 2] = predict_spread(spread[:, None, [0, 0, 2], [0, 2, 2]], step)[..., 0]
     return true, straight, informed, filtered
 
 

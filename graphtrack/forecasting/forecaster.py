@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.kalman import AXIS
+from graphtrack.constant_velocity import AXIS
 from graphtrack.errors import InputError
 from graphtrack.forecasting.motion import ComplexArray, ForecastParameters, MotionFilters, standing
 from graphtrack.forecasting.paths import EVERY, LAGS, NearbyDeviations, PathMemory, kernel_means

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.kalman import AXIS
+from graphtrack.constant_velocity import AXIS, predict_spread, update_spread, white_noise_acceleration
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import ParameterFile
 from graphtrack.saved import Saved
@@ -130,20 +130,17 @@ class MotionFilters(Saved):
         """Update the people of the slots ``at`` with new observations after ``dt`` seconds (n,)."""
         step = dt[:, None]
         noise = BELIEFS["std"] ** 2 + (std**2)[:, None]
-        own, cross, speed = self._predicted(at, step)
+        ahead = self._predicted(at, step)
         velocity = self._velocity[at]
         predicted = self._position[at] + step * velocity
         error = position[:, None] - predicted
-        expected = own + noise
+        expected = ahead[..., 0] + noise
         distance = np.abs(error) ** 2 / expected
         # Restart the filter after a jump or an identity switch, which no noise hypothesis explains.
         lost = distance.min(axis=1) > _FARTHEST
-        gain, gain_speed = own / expected, cross / expected
-        mean = predicted + gain * error
-        velocity = velocity + gain_speed * error
-        variance = np.empty(own.shape, AXIS)
-        variance["pp"], variance["pv"] = own * (1 - gain), cross * (1 - gain)
-        variance["vv"] = speed - gain_speed * cross
+        mean = predicted + ahead["pp"] / expected * error
+        velocity = velocity + ahead["pv"] / expected * error
+        variance = update_spread(ahead, noise)
         keep = np.exp(-step / _EVIDENCE_SECONDS)
         gained = -0.5 * np.minimum(distance, _FARTHEST) - np.log(expected)
         evidence = self._evidence[at] * keep + gained
@@ -156,14 +153,9 @@ class MotionFilters(Saved):
         self._position[at], self._velocity[at] = mean, velocity
         self._variance[at], self._evidence[at] = variance, evidence
 
-    def _predicted(
-        self, at: NDArray[np.int64], step: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the variances (n, K) of positions, between them and velocities, and of velocities, later."""
-        own, cross, speed = (self._variance[name][at] for name in ("pp", "pv", "vv"))
-        density = BELIEFS["density"]
-        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
-        return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
+    def _predicted(self, at: NDArray[np.int64], step: FloatArray) -> NDArray[Any]:
+        """Return the spreads (n, K) of `AXIS` after seconds (n, 1)."""
+        return predict_spread(self._variance[at], white_noise_acceleration(step, BELIEFS["density"]))
 
     def learn(self, at: NDArray[np.int64], share: float) -> None:
         """Shift the scene's prior over hypotheses towards that of the people in the slots ``at``."""
@@ -180,7 +172,8 @@ class MotionFilters(Saved):
         weights, step = self._weights(at), ahead[:, None]
         velocities = self._velocity[at]
         positions = self._position[at] + step * velocities
-        own, cross, speed = self._predicted(at, step)
+        ahead_of = self._predicted(at, step)
+        own, cross, speed = (ahead_of[name] for name in ("pp", "pv", "vv"))
         position, velocity = (weights * positions).sum(axis=1), (weights * velocities).sum(axis=1)
         off, drift = positions - position[:, None], velocities - velocity[:, None]
         variance = np.empty(len(at), AXIS)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import white_noise_acceleration
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import (
     BoolArray,
@@ -207,7 +208,7 @@ def drift(age: FloatArray) -> FloatArray:
 
     That of a constant-velocity model with white-noise acceleration; constant from `HELD` on.
     """
-    return np.asarray(_ACCELERATION * np.minimum(age, HELD) ** 3 / 3.0)
+    return np.asarray(white_noise_acceleration(np.minimum(age, HELD), _ACCELERATION).noise[0])
 
 
 def with_absent(people: People) -> People:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.constant_velocity import predict_covariance
 from graphtrack.constants.commons import commons_of
 from graphtrack.constants.online import Estimate, OnlineSmoother
 from graphtrack.interaction.attention import OnlineAttention
@@ -384,10 +385,7 @@ def _ahead(estimate: Estimate, t: float, density: float) -> Estimate:
     dt = t - estimate.t
     if dt <= 0.0 or not np.isfinite(estimate.position).all():
         return estimate
-    step = np.eye(6)
-    step[[0, 1], [2, 3]] = dt
-    covariance = step @ estimate.covariance @ step.T
-    covariance[[0, 1], [0, 1]] += density * dt**3 / 3.0
+    covariance = predict_covariance(estimate.covariance, dt, density)
     return replace(estimate, t=t, position=estimate.position + dt * estimate.velocity, covariance=covariance)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import logit
 
-from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constant_velocity import predict_covariance
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate
@@ -216,8 +216,6 @@ class GraphGuide:
 
 
 def _moved(estimate: Estimate, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
-    """Return position (2,) and covariance (2, 2) ``dt`` seconds after an estimate, by the term Motion."""
-    step = transition_matrix(dt)
-    state = np.concatenate([estimate.position, estimate.velocity])
-    covariance = step @ estimate.covariance[:4, :4] @ step.T + process_noise(dt, acceleration_density)
-    return (step @ state)[:2], covariance[:2, :2]
+    """Return position (2,) and covariance (2, 2) ``dt`` seconds after an estimate, at constant velocity."""
+    covariance = predict_covariance(estimate.covariance, dt, acceleration_density)
+    return estimate.position + dt * estimate.velocity, covariance[:2, :2]

@@ -1,7 +1,5 @@
 """Likelihood ratio of appearance, and online association with appearance and scores."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

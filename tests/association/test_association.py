@@ -1,7 +1,5 @@
 """Data association of detections without identities; false detections are left out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -51,15 +49,6 @@ def test_the_order_of_a_frames_detections_has_no_effect() -> None:
     for one in range(first.max() + 1):
         assert len(set(back[first == one].tolist())) == 1
     assert ((first < 0) == (back < 0)).all()
-
-
-def test_turning_and_moving_the_world_changes_nobody() -> None:
-    detections, _ = street(np.random.default_rng(7), people=8, frames=40, miss=0.1)
-    scene = SceneParameters(clutter_density=1e-3, birth_density=1e-3)
-    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    moved = Detections(detections.frame, detections.t, detections.position @ turn.T + [300.0, -70.0])
-    one, other = (associate_detections(d, scene).identity for d in (detections, moved))
-    np.testing.assert_array_equal(one, other)
 
 
 def test_who_crosses_is_told_by_where_they_came_from() -> None:

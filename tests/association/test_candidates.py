@@ -1,7 +1,5 @@
 """Candidates within reach: complete, and pruning changes no match."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

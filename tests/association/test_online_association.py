@@ -1,7 +1,5 @@
 """Online data association: at once, revised, saved, and the estimates that follow."""
 
-from __future__ import annotations
-
 import gc
 import json
 import resource

@@ -1,14 +1,12 @@
 """The plain tracker equals its documented filter, and confirms and deletes tracks by its rules."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
 from graphtrack import InputError
 from graphtrack.baselines.hungarian import HungarianParameters, HungarianTracker, track_detections
-from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constant_velocity import process_noise, transition_matrix
 from graphtrack.tracks.detections import Detections
 
 OPEN = HungarianParameters(gate=100.0, speed_std=1.0, hits=1, frames=1, coasting=10.0)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,7 +15,8 @@ from graphtrack.baselines.intentional import (
     intentional_transition,
     step_tracker,
 )
-from graphtrack.baselines.kalman import full_covariance, kalman_filter
+from graphtrack.baselines.kalman import kalman_filter
+from graphtrack.constant_velocity import full_covariance
 from graphtrack.errors import InputError, SolveError
 from graphtrack.geometry.angles import unit, wrap
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters

@@ -1,9 +1,8 @@
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +19,13 @@ from graphtrack.baselines.kalman import (
     smooth_states,
 )
 from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
+from graphtrack.constant_velocity import (
+    compiled_spread,
+    full_covariance,
+    predict_covariance,
+    predict_spread,
+    white_noise_acceleration,
+)
 from graphtrack.errors import SolveError
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
 from graphtrack.tracks.track import Track
@@ -84,6 +90,33 @@ def track_with(gaps: str, *, uneven: bool, own_std: bool = False) -> Track:
         std[::4] = np.nan
         track = replace(track, position_std=std)
     return track
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 10_000), dt=st.floats(1e-3, 5.0), density=st.floats(0.01, 20.0))
+def test_every_form_of_a_prediction_is_the_continuous_model_integrated(
+    seed: int, dt: float, density: float
+) -> None:
+    a, cross, c = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
+    spread = np.array([abs(a) + 1.0, cross, abs(c) + 1.0])
+    transition, noise = discretised(dt, density)
+    before = np.full((6, 6), np.nan)  # of angles that are not estimated
+    before[:4, :4] = full_covariance(spread)
+    expected = transition @ before[:4, :4] @ transition.T + noise
+    ahead = predict_covariance(before, dt, density)
+    np.testing.assert_allclose(ahead[:4, :4], expected, rtol=1e-9, atol=1e-12)
+    for found in (
+        predict_spread(spread, white_noise_acceleration(dt, density)),
+        compiled_prediction(*spread, dt, density),
+    ):
+        np.testing.assert_allclose(full_covariance(np.array(found)), expected, rtol=1e-9, atol=1e-12)
+
+
+@numba.njit
+def compiled_prediction(
+    a: float, b: float, c: float, dt: float, density: float
+) -> tuple[float, float, float]:
+    return compiled_spread(a, b, c, dt, density)
 
 
 GAPS = ["none", "inner", "last", "first", "first and last", "all but one"]
@@ -154,8 +187,7 @@ def test_estimates_hold_no_observations_any_more() -> None:
 
 
 @pytest.mark.parametrize(
-    "estimator",
-    [kalman_filter, rauch_tung_striebel, intentional_tracker, particle_filter, particle_smoother],
+    "estimator", [kalman_filter, rauch_tung_striebel, intentional_tracker, particle_filter, particle_smoother]
 )
 def test_a_track_without_a_position_names_itself(estimator: Callable[[Track], Track]) -> None:
     track = replace(walk(5, track_id=42), position=np.full((5, 2), np.nan))

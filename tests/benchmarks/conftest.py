@@ -3,8 +3,6 @@
 `make bench` compares with it; ``pytest tests/benchmarks -m benchmark --update-baseline`` updates it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

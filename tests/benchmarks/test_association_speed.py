@@ -1,7 +1,5 @@
 """Cost of offline association in crowds: how that of a detection grows with the people who are there."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -4,8 +4,6 @@ The baseline holds ratios of processor time, which other work on the machine har
 time, where the chain engine has two threads, must reach a bar when the machine is otherwise idle.
 """
 
-from __future__ import annotations
-
 import os
 import time
 import tracemalloc
@@ -20,7 +18,7 @@ from costs import build_graph
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
-from graphtrack.baselines.kalman import process_noise, transition_matrix
+from graphtrack.constant_velocity import process_noise, transition_matrix
 from graphtrack.inference import Solution, smooth_track
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.model import Model

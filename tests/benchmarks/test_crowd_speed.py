@@ -1,7 +1,5 @@
 """Speed of the trackers of many people: ratios of processor time a frame, of the same detections."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

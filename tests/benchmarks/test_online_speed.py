@@ -1,7 +1,5 @@
 """Online speed of the engines: ratios of processor time within one run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from typing import Literal

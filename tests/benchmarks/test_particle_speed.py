@@ -1,7 +1,5 @@
 """Speed of the particle filter, alone and against Stone Soup's on the same linear task in the same run."""
 
-from __future__ import annotations
-
 import datetime
 import statistics
 import time

@@ -1,7 +1,5 @@
 """Speed of perception: milliseconds of processor time, and against OpenCV's HOG in the same run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

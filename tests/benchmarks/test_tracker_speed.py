@@ -1,7 +1,5 @@
 """Speed of the trackers: frames a second, against OpenCV's SIFT or equalisation, and by particles."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 

@@ -1,7 +1,5 @@
 """The first run on a machine: it reports compilation, and its results equal those of any other run."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging

@@ -1,7 +1,5 @@
 """`graphtrack fit` of models and of scenes, from file to file."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """`graphtrack forecast`, `score` of its tables, `fit --forecast` and `track - --forecast`."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

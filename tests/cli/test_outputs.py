@@ -1,7 +1,5 @@
 """No output takes the place of an input or of another output, whatever the paths look like."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

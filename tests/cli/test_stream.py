@@ -205,10 +205,7 @@ def test_what_is_told_within_an_answer_has_the_same_names_and_unit() -> None:
 
 
 @pytest.mark.parametrize("unit", [1, 10**3, 10**6])
-@given(
-    first=st.integers(0, 4 * 10**18),
-    later=st.lists(st.integers(0, 90 * DAY), min_size=2, max_size=4),
-)
+@given(first=st.integers(0, 4 * 10**18), later=st.lists(st.integers(0, 90 * DAY), min_size=2, max_size=4))
 def test_whole_stamps_come_back_to_the_last_digit(unit: int, first: int, later: list[int]) -> None:
     """Also times since 1970, which a double cannot hold in nanoseconds."""
     stamps = [(first + more) // unit for more in (0, *later)]

@@ -1,7 +1,5 @@
 """`graphtrack track - --groups --attention --forecast`: its output, its timing, and after a restart."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Constants that are learned with every observation."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The comparison: the same input for every method, its report, and failures of a method."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

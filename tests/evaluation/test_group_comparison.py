@@ -1,7 +1,5 @@
 """Methods that find groups, on the same people."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Metrics on cases computed by hand; NEES and coverage of honest and of overconfident Gaussians."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

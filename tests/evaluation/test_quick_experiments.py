@@ -1,7 +1,5 @@
 """Experiments on a few people: their tables, and that methods are compared alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

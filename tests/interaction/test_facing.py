@@ -1,7 +1,5 @@
 """Facing by the positions of others, and walking together: found, and learned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Forecasts: no leak of the future, calibrated circles, and rotation equivariance."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -43,30 +41,6 @@ def test_nothing_of_the_future_leaks():
     assert len(part) == len(whole) > 1000
     for name in part:
         np.testing.assert_array_equal(part[name], whole[name])
-
-
-def test_turning_and_moving_the_world_turns_and_moves_the_forecasts():
-    rng = np.random.default_rng(2)
-    scene = wanderers(8, rng, apart=4.0)
-    heads = [rng.uniform(-3, 3) + np.cumsum(rng.normal(0, 0.1, len(one))) for one in scene]
-    angle = 0.7
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-    def forecasts(turned):
-        people = []
-        for one, head in zip(scene, heads, strict=True):
-            moved = {"position": one.position @ turn.T + (3.0, -8.0), "head": head + angle}
-            people.append(replace(one, **(moved if turned else {"head": head})))
-        return gt.forecast(gt.TrackSet(tuple(people))).columns
-
-    before, after = forecasts(False), forecasts(True)
-    there = np.stack([before["x"], before["y"]], axis=1) @ turn.T + (3.0, -8.0)
-    np.testing.assert_allclose(np.stack([after["x"], after["y"]], axis=1), there, atol=1e-3)
-    for name in ("radius_50", "radius_90"):
-        np.testing.assert_allclose(after[name], before[name], rtol=1e-3, atol=1e-4)
-    spread = np.array([[before["x_std"] ** 2, before["xy_cov"]], [before["xy_cov"], before["y_std"] ** 2]])
-    turned = np.einsum("ij,jkn,lk->iln", turn, spread, turn)
-    np.testing.assert_allclose(after["xy_cov"], turned[0, 1], rtol=1e-2, atol=1e-3)
 
 
 def test_circles_hold_what_they_say_of_people_who_wander():
@@ -209,6 +183,11 @@ def test_people_are_expected_to_turn_where_others_turned():
         ({"history": np.nan}, "history = nan"),
         ({"history": 86400.0}, "86400 s, the history"),
         ({"samples": 5000}, "samples"),
+        *(({"samples": wrong}, "samples") for wrong in (1.5, "x", True, -1)),
+        *(({"seed": wrong}, "seed") for wrong in (-1, "x", 0.5)),
+        *(({name: wrong}, name) for name in ("step", "horizon") for wrong in ("a", None)),
+        ({"history": "a"}, "history"),
+        ({"parameters": {}}, "parameters"),
     ],
 )
 def test_settings_that_make_no_sense_are_told(wrong, told):
@@ -241,19 +220,6 @@ def test_somebody_who_jumps_does_not_fly_off():
         forecaster.update(0.1 * k, [1], [(0.1 * k, 0.0)])
     forecaster.update(2.0, [1], [(30.0, 0.0)])
     assert np.linalg.norm(forecaster.forecast([1.0]).position[0, 0] - (30.0, 0.0)) < 5.0
-
-
-def test_parameters_come_back_from_their_file(tmp_path):
-    path = tmp_path / "learned.toml"
-    given = ForecastParameters(place_distance=2.5, tail_share=0.4)
-    given.save(path)
-    assert ForecastParameters.load(path) == given
-    path.write_text("[forecast]\nplace_distance = -1\n")
-    with pytest.raises(InputError, match="place_distance"):
-        ForecastParameters.load(path)
-    path.write_text("[motion]\nacceleration_density = 1\n")
-    with pytest.raises(InputError, match="model file"):
-        ForecastParameters.load(path)
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "parquet", "ndjson"])
@@ -383,22 +349,6 @@ def test_times_ahead_that_are_no_future_are_refused(ahead):
         forecaster.update(0.4 * k, [1], [(0.5 * k, 0.0)])
     with pytest.raises(InputError, match="ahead"):
         forecaster.forecast(ahead)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("samples", wrong) for wrong in (1.5, "x", True, -1)),
-        *(("seed", wrong) for wrong in (-1, "x", 0.5)),
-        *(("step", wrong) for wrong in ("a", None)),
-        *(("horizon", wrong) for wrong in ("a", None)),
-        ("history", "a"),
-        ("parameters", {}),
-    ],
-)
-def test_settings_of_another_type_are_refused(name, value):
-    with pytest.raises(InputError, match=name):
-        gt.forecast(track(1, np.zeros((5, 2))), **{name: value})
 
 
 @pytest.mark.parametrize("apart", [1e-9, 1e-6, 1e-5, 1e-4])

@@ -1,7 +1,5 @@
 """Groups and attention frame by frame: as over a file, in any order of people, and after a restart."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

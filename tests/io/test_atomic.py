@@ -1,7 +1,5 @@
 """Atomic writing: through links, in parallel, after runs that were killed, and without POSIX."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """Readers of each format on synthetic files whose answer is known, and scores of MOT text."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,11 +1,14 @@
-"""Random files: every reader returns or raises a `GraphtrackError` of one line."""
-
-from __future__ import annotations
+"""Random, damaged and long files: every reader returns or raises a `GraphtrackError` of one line, soon."""
 
 import datetime
 import json
 import os
+import random
+import subprocess
+import sys
+import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,9 +18,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from format_samples import SAMPLES, Sample, sample_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from input_readers import OPTION_FILES, InputReader, format_readers
+from input_readers import OPTION_FILES, InputReader, as_checked, format_readers
 from mutations import mutate
 
 from graphtrack import io
@@ -40,37 +44,10 @@ fuzzed = settings(
 
 WORDS = st.sampled_from(
     [
-        "",
-        "\0",
-        "-",
-        "nan",
-        "1e999",
-        "1" * 5000,
-        "0x1",
-        "[" * 500,
-        '"',
-        "'",
-        ",",
-        ";",
-        "\n",
-        "\r\n",
-        "=",
-        "]",
-        "}",
-        "\u202e",
+        *"\0-\"',;\n=]}*\ufeff\u202e",
+        *(["nan", "1e999", "0x1", "true", "null", "-0", "{}", "1,5", "1.5.5", "x_0", "2026-11-23T10:00:00"]),
+        *("", "\r\n", "1" * 5000, "[" * 500, "a" * 140_000, "CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))"),
         "\ud800".encode("utf-8", "surrogatepass").decode("latin-1"),
-        "a" * 140_000,
-        "true",
-        "null",
-        "-0",
-        "CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))",
-        "2026-11-23T10:00:00",
-        "{}",
-        "*",
-        "\ufeff",
-        "1,5",
-        "1.5.5",
-        "x_0",
     ]
 )
 
@@ -176,34 +153,19 @@ def test_json_of_other_types(label: str, document: Any, data: st.DataObject) -> 
 CELLS = (
     st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats() | st.text(max_size=5)
 ) | st.binary(max_size=4)
-COLUMN_TYPES = st.sampled_from(
-    [
-        pa.float64(),
-        pa.int8(),
-        pa.uint64(),
-        pa.bool_(),
-        pa.string(),
-        pa.large_string(),
-        pa.binary(),
-        pa.null(),
-        pa.timestamp("ns", "UTC"),
-        pa.timestamp("s"),
-        pa.date32(),
-        pa.time64("us"),
-        pa.duration("ms"),
-        pa.decimal128(9, 2),
-        pa.list_(pa.float64()),
-        pa.list_(pa.float32(), 2),
-        pa.struct([("a", pa.int8())]),
+NUMBERS = (pa.float64(), pa.float16(), pa.int8(), pa.uint64(), pa.bool_(), pa.null(), pa.decimal128(9, 2))
+TEXTS = (pa.string(), pa.large_string(), pa.string_view(), pa.binary(), pa.binary(3))
+TIMES = (pa.timestamp("ns", "UTC"), pa.timestamp("s"), pa.date32(), pa.time64("us"), pa.duration("ms"))
+NESTED = (
+    *(pa.list_(pa.float64()), pa.list_(pa.float32(), 2), pa.struct([("a", pa.int8())])),
+    *(
         pa.map_(pa.string(), pa.int8()),
         pa.dictionary(pa.int8(), pa.string()),
-        pa.float16(),
-        pa.binary(3),
         pa.dictionary(pa.int8(), pa.int64()),
-        pa.string_view(),
-    ]
+    ),
 )
-NAMES_OF_TABLE = (
+COLUMN_TYPES = st.sampled_from([*NUMBERS, *TEXTS, *TIMES, *NESTED])
+NAMES_OF_TABLE = [
     "track_id",
     "frame",
     "t",
@@ -216,7 +178,7 @@ NAMES_OF_TABLE = (
     "u",
     "id",
     "time",
-)
+]
 
 
 def value_of(kind: pa.DataType, k: int) -> Any:
@@ -305,3 +267,96 @@ def test_deep_cards_and_coco_categories(tmp_path: Path) -> None:
         source = Source(Path("a.json"), json.dumps(document).encode())
         with pytest.raises(GraphtrackError, match="category_id"):
             read_coco(source, ReadOptions(fps=10.0, metres_per_pixel=0.01))
+
+
+MUTANTS = 60
+SLOWEST_READ = 5.0
+"""Seconds; a sample reads in milliseconds, so that this is a hang and not a slow machine."""
+
+CAMERAS = {
+    "homography": b"0.01 0 0\n0 -0.01 0\n0 0.0001 1\n",
+    "point_pairs": b"# u v X Y\n0 0 0 0\n100 0 1 0\n100 100 1 -1\n0 100 0 -1.1\n50 50 0.5 -0.5\n",
+}
+BESIDE = [(sample, name) for sample in SAMPLES for name in sample.beside]
+BESIDE += [(sample_of("mot"), name) for name in CAMERAS]
+
+
+@pytest.mark.parametrize(("sample", "name"), BESIDE, ids=[name for _, name in BESIDE])
+def test_damaged_companions_and_cameras_are_read_or_refused(
+    sample: Sample, name: str, tmp_path: Path
+) -> None:
+    path, options = sample.write(tmp_path), dict(sample.options)
+    if name in CAMERAS:
+        options[name] = tmp_path / name
+    whole, refused = CAMERAS.get(name) or (tmp_path / name).read_bytes(), set()
+    for seed in range(MUTANTS):
+        (tmp_path / name).write_bytes(mutate(whole, np.random.default_rng(seed)))
+        start = time.perf_counter()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", InputWarning)
+            try:
+                as_checked(io.read_identified(path, **options))
+            except GraphtrackError as error:
+                refused.add(str(error))
+        assert time.perf_counter() - start < SLOWEST_READ
+    assert refused
+
+
+LENGTH = 2**20
+HANG = 900.0
+"""Seconds of a part of the readers, which need some for all texts; quadratic time would be hours."""
+
+CHARACTERS = [bytes([code]) for code in range(128)]
+PAIRS = [first + second for first in CHARACTERS for second in CHARACTERS if first != second]
+PARTS = 4
+
+SEED = int(os.environ.get("GRAPHTRACK_FUZZ_SEED", "0"))
+"""``make test-all`` sets that of the day."""
+
+
+def texts(seed: int, singles: int, pairs: int) -> Iterator[bytes]:
+    """Yield a mebibyte of each of so many characters, and of so many pairs of them."""
+    chosen = random.Random(seed)
+    yield from (character * LENGTH for character in chosen.sample(CHARACTERS, singles))
+    yield from (pair * (LENGTH // 2) for pair in chosen.sample(PAIRS, pairs))
+
+
+def contents(content: bytes, text: bytes) -> Iterator[bytes]:
+    """Yield the text alone, and within the first line and the middle of a valid content."""
+    first, _, rest = content.partition(b"\n")
+    middle = len(first) // 2
+    yield text
+    yield first[:middle] + text + first[middle:] + b"\n" + rest
+    yield content[: len(content) // 2] + text + content[len(content) // 2 :]
+
+
+def read_all(part: int, seed: int, singles: int, pairs: int) -> None:
+    """Read texts with a part of the readers; what is read is printed before, so that a hang names it."""
+    warnings.simplefilter("ignore")
+    with TemporaryDirectory() as folder:
+        for k, one in list(enumerate(READERS))[part::PARTS]:
+            for text in texts(seed + k, singles, pairs):
+                for place, content in enumerate(contents(one.content, text)):
+                    print(one.label, text[:2], place, flush=True)
+                    try:
+                        one.read(one.write(Path(folder) / "long", content))
+                    except GraphtrackError as error:
+                        assert "\n" not in str(error) and len(str(error)) < 4000
+
+
+@pytest.mark.parametrize(
+    ("singles", "pairs"),
+    [pytest.param(1, 1, id="some"), pytest.param(128, 64, id="all", marks=pytest.mark.slow)],
+)
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_mebibyte_of_few_characters_is_read_or_refused_soon(part: int, singles: int, pairs: int) -> None:
+    command = [sys.executable, __file__, *map(str, (part, SEED, singles, pairs))]
+    hang = HANG if singles < len(CHARACTERS) else 4 * HANG
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=hang, check=False, env=environment)
+    assert done.returncode == 0, (done.stdout[-200:], done.stderr[-2000:])
+
+
+if __name__ == "__main__":
+    read_all(*map(int, sys.argv[1:]))

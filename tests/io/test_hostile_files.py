@@ -1,7 +1,5 @@
 """Files that are made to break a reader or a writer: one error each, in bounded time and memory."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os
@@ -166,20 +164,12 @@ def test_labels_are_no_formulas_where_a_spreadsheet_is_asked_for(tmp_path: Path)
     assert done.returncode == 0 and f"'{label}" in sheet.read_text()
     assert gt.read(sheet).tracks[0].label == f"'{label}"
     path.write_text("who,frame,t,x,y\n" + "".join(f"@anna,{k},{k},0,0\n" for k in range(3)))
-    done = run("convert", path, "-o", sheet, "--spreadsheet", "--columns", "id=who", program="graphtrack")
+    named = ("--columns", "id=who")
+    done = run("convert", path, "-o", sheet, "--spreadsheet", *named, program="graphtrack")
     assert done.returncode == 0 and '\n"\'@anna",' in sheet.read_text()
-    run("convert", path, "-o", sheet, "--columns", "id=who", program="graphtrack")
+    run("convert", path, "-o", sheet, *named, program="graphtrack")
     assert '\n"@anna",' in sheet.read_text()  # unchanged without the option
-    done = run(
-        "convert",
-        path,
-        "-o",
-        tmp_path / "a.ndjson",
-        "--spreadsheet",
-        "--columns",
-        "id=who",
-        program="graphtrack",
-    )
+    done = run("convert", path, "-o", tmp_path / "a.ndjson", "--spreadsheet", *named, program="graphtrack")
     assert done.returncode == 2 and "--spreadsheet" in done.stderr
 
 

@@ -1,7 +1,5 @@
 """Every bad input gives one `InputError` that names the place."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

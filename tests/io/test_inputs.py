@@ -1,7 +1,5 @@
 """Inputs of a track: their names and values, in memory, in tables and in a stream."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

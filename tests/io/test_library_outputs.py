@@ -1,7 +1,5 @@
 """Tracks from and to supervision, Ultralytics, polars and GeoPandas."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

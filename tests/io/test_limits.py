@@ -1,7 +1,5 @@
 """Files that claim more than they hold are refused before the memory is taken."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import zipfile

@@ -1,7 +1,5 @@
 """MOT text counts frames from 1, as TrackEval reads it; folders of MOTChallenge, and URLs."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """PedPy's trajectories, its text files, and JuPedSim's databases, there and back."""
 
-from __future__ import annotations
-
 import gzip
 import sqlite3
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Real recordings: known counts, and properties of walking people."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Round trips through CSV, gzip, Parquet and DataFrames."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import fields, replace
 from pathlib import Path

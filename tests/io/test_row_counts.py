@@ -1,7 +1,5 @@
 """Every way in counts each row that it is given as used or as refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

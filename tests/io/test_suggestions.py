@@ -1,7 +1,5 @@
 """One table in many forms: each has a way through, and the line that is suggested takes it, as printed."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sqlite3

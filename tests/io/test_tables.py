@@ -1,7 +1,5 @@
 """Tables with their own names, units and value types: read as declared, written as read."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ One command prints the table of docs/results/model.md:
 ``pytest tests/learning/test_coverage.py -m slow -s``
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 
 import pytest

@@ -1,7 +1,5 @@
 """Fitting to the truth: its likelihood, recovery of simulated parameters; learning of scenes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -12,8 +12,6 @@ On one processor: ``taskset -c 0 python …``. A day has 3,000 people an hour wh
 2.5 Hz, for ``graphtrack smooth FOLDER -o smoothed.parquet``.
 """
 
-from __future__ import annotations
-
 import resource
 import sys
 import tempfile

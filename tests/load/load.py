@@ -7,8 +7,6 @@ processes early and at the end, without and with kept states, and whether the se
 fails if a row was lost, and only then: times depend on what else the machine does.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -4,8 +4,6 @@
 the outcome. It takes an hour or two, most of which compiles the mistakes; it is no part of CI.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A camera that adapts itself: labels, alignment, learning, and rejected input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,15 +20,7 @@ from perception.adaptation.directions import (
     folds_of,
     observed_directions,
 )
-from perception.adaptation.labels import (
-    COLUMNS,
-    ROWS,
-    TALL,
-    in_patch,
-    of_patch,
-    patch_of,
-    walking_labels,
-)
+from perception.adaptation.labels import COLUMNS, ROWS, TALL, in_patch, of_patch, patch_of, walking_labels
 from perception.adaptation.learning import joined, thinned
 from perception.adaptation.models import CameraModels
 from perception.evaluation.adapted_cameras import sequences_of

@@ -1,7 +1,5 @@
 """Sparse representation against scikit-learn, and body pose on rendered people."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sklearn.decomposition import sparse_encode

@@ -1,7 +1,5 @@
 """Boxes of people from files: their frames, what is used, skipped with a report, and refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -101,10 +99,7 @@ XML = (
 
 @pytest.mark.parametrize(
     ("name", "text", "line"),
-    [
-        ("boxes.txt", "1,1,10,20,30,40,1\n1,2,-1000000,-1000000,3000000,3000000,1\n", 2),
-        ("boxes.xml", XML, 3),
-    ],
+    [("boxes.txt", "1,1,10,20,30,40,1\n1,2,-1000000,-1000000,3000000,3000000,1\n", 2), ("boxes.xml", XML, 3)],
 )
 def test_boxes_beyond_all_reason_are_refused_with_their_line(
     tmp_path: Path, name: str, text: str, line: int

@@ -1,7 +1,5 @@
 """A camera without a calibration: the view from boxes, its uncertainty, and insufficient boxes."""
 
-from __future__ import annotations
-
 from dataclasses import astuple
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every classifier through the same battery."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from copy import copy
@@ -15,12 +13,7 @@ from graphtrack.errors import InputError
 from perception.evaluation.classifiers import recognition_table
 from perception.models import load_classifier
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import (
-    FeatureClassifier,
-    evaluate,
-    fit_temperature_and_share,
-    with_neighbours,
-)
+from perception.pose.classifier import FeatureClassifier, evaluate, fit_temperature_and_share, with_neighbours
 from perception.pose.deep_belief import DeepBelief
 from perception.pose.exemplars import CENTRE_STEP, DEVIATION_STEP, Exemplars
 from perception.pose.features import SkinColours

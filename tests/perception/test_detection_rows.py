@@ -1,7 +1,5 @@
 """Rows of detections that are made some frames at a time are those of tracks; journals of frames."""
 
-from __future__ import annotations
-
 import gc
 import json
 import tracemalloc

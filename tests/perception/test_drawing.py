@@ -1,7 +1,5 @@
 """Drawn estimates and drawn people: positions in the image, colours, and files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Features against definitions written out another way; the papers' printed forms by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`perception follow` with a tracker of red blobs: its messages, and its effect in the graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frames of videos and folders: used, reported and refused."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from fractions import Fraction
@@ -61,7 +59,7 @@ def test_numbers_are_those_of_the_frames_that_there_are(tmp_path: Path) -> None:
     assert FrameSource.open(tmp_path).numbers() == [3, 11]
 
 
-TEXT = {
+NO_VIDEOS = {
     "notes.txt": b"hello world\n" * 99,
     "begins as a film.txt": b"The free lunch\n" * 99,
     "begins as a picture.txt": b"BMW\n" * 99,
@@ -70,22 +68,18 @@ TEXT = {
     "subtitles.srt": b"1\n00:00:01,000 --> 00:00:02,000\nhello\n",
     "playlist.m3u8": b"#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\nother.mp4\n#EXT-X-ENDLIST\n",
     "list.mp4": b"ffconcat version 1.0\nfile other.mp4\n",
+    "noise.bin": RNG.bytes(40_000),
+    "noise.mp4": RNG.bytes(40_000),
+    "playlist with a null.m3u8": b"#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\nother.mp4\n\0",
 }
 
 
-@pytest.mark.parametrize("name", TEXT)
-def test_text_is_no_video_whatever_opencv_makes_of_it(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", NO_VIDEOS)
+def test_text_and_other_bytes_are_no_video_whatever_opencv_makes_of_them(tmp_path: Path, name: str) -> None:
     written(tmp_path / "other.mp4")  # which the playlists name
-    (tmp_path / name).write_bytes(TEXT[name])
-    assert "found text, expected a video" in refused(tmp_path / name)
-
-
-@pytest.mark.parametrize("name", ["noise.bin", "noise.mp4", "playlist.m3u8"])
-def test_other_bytes_are_no_video(tmp_path: Path, name: str) -> None:
-    written(tmp_path / "other.mp4")
-    playlist = TEXT["playlist.m3u8"] + b"\0"
-    (tmp_path / name).write_bytes(playlist if name.endswith("m3u8") else RNG.bytes(40_000))
-    assert "found something else, expected a video" in refused(tmp_path / name)
+    (tmp_path / name).write_bytes(NO_VIDEOS[name])
+    what = "something else" if name.startswith(("noise", "playlist with")) else "text"
+    assert f"found {what}, expected a video" in refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp", ".tif", ".ppm"])

@@ -1,7 +1,5 @@
 """A room under a fisheye camera: calibration, ground positions, and a robot in place of the person."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2
@@ -56,9 +54,7 @@ def test_a_room_comes_with_the_calibration_that_it_was_rendered_with(rooms: dict
     np.testing.assert_allclose(camera.image_to_ground(rays), places, atol=1e-5)
 
 
-def test_the_middle_of_a_box_from_above_is_a_better_place_than_its_lower_edge(
-    rooms: dict[str, Path],
-) -> None:
+def test_the_middle_of_a_box_from_above_is_a_better_place_than_its_lower_edge(rooms: dict[str, Path]) -> None:
     by_middle = away(BoxCamera(GROUND, middle_at=BODY_MIDDLE), rooms["person"])
     by_foot = away(BoxCamera(GROUND), rooms["person"])
     assert by_middle.mean() < 0.2 and by_middle.max() < 0.5

@@ -1,7 +1,5 @@
 """People found where they have a person's height; learning from a recording, and confidence."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

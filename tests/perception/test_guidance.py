@@ -1,7 +1,5 @@
 """The graph in a tracker's loop, with targets whose course is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

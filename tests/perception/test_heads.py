@@ -1,7 +1,5 @@
 """Boosting and head localisation against brute force, and on rendered people."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Keypoint files: the formats agree, the assignment of points to people, and refused input."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Body and head by keypoints: the model of the package on people whose skeleton is known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Appearance descriptors: their invariances, and that they distinguish people."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2
@@ -10,16 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.pose.features import (
-    HEIGHT,
-    LENGTH,
-    LEVELS,
-    PARTS,
-    WIDTH,
-    Projection,
-    describe,
-    light_of,
-)
+from perception.pose.features import HEIGHT, LENGTH, LEVELS, PARTS, WIDTH, Projection, describe, light_of
 from perception.synthetic.pedestrians import PedestrianVariation, make_pedestrians
 
 GREY = np.array([53.6, 0.0, 0.0])

@@ -1,7 +1,5 @@
 """The mixed-state tracker and its exemplars against the equations of Ba & Odobez 2003."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,7 @@ import pytest
 from scipy.special import softmax
 
 from graphtrack.errors import InputError
-from perception.experiments.head_trackers import (
-    followed,
-    scored,
-    tracking_error,
-)
+from perception.experiments.head_trackers import followed, scored, tracking_error
 from perception.images.pixels import enlarged, grey_stack
 from perception.models import model_path
 from perception.pose.classes import PoseClasses

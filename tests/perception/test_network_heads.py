@@ -1,7 +1,5 @@
 """Heads by the network: splits of its last layer, heads of CAVIAR's frames, and known poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +20,7 @@ from perception.experiments.baxter_network import (
     upright_head,
 )
 from perception.experiments.chen_pixels import classified
-from perception.experiments.street_heads import (
-    APART,
-    BEFORE,
-    FEWEST,
-    HIDDEN,
-    street_people,
-    windows,
-)
+from perception.experiments.street_heads import APART, BEFORE, FEWEST, HIDDEN, street_people, windows
 from perception.models import load_classifier
 from perception.pose.classes import PoseClasses
 from perception.pose.deep_belief import DeepBelief

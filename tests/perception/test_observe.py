@@ -1,7 +1,5 @@
 """`perception observe`: its output, skipped rows, messages and drawings, and resuming."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
 
@@ -46,19 +44,6 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_boxes(boxes, folder / "boxes.txt")
     np.savetxt(folder / "homography.txt", STREET.ground_camera().homography)
     return folder
-
-
-def images_read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of the images that are decoded from here on."""
-    names: list[str] = []
-    read = cv2.imread
-
-    def told(path: str, *rest: object) -> object:
-        names.append(Path(path).stem)
-        return read(path, *rest)
-
-    monkeypatch.setattr(cv2, "imread", told)
-    return names
 
 
 def frames_looked_at(monkeypatch: pytest.MonkeyPatch, error: type[BaseException] | None) -> list[int]:
@@ -233,15 +218,6 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
     done = run("observe", clip / "frames", *options, "-o", tmp_path / "again.csv", "--render", out)
     assert done.returncode == 0 and f"and {out}" in done.stderr
     assert FrameSource.open(out).count == 6
-
-
-def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cv2.imwrite(str(tmp_path / "0001.png"), np.full((200, 200, 3), 90, np.uint8))
-    decoded = images_read(monkeypatch)
-    done = run("observe", tmp_path, "-o", tmp_path / "out.csv")
-    assert done.returncode == 2 and decoded == ["0001"]
-    assert done.stderr.strip().splitlines()[-1].startswith("error: found a video without people")
-    assert not (tmp_path / "out.csv").exists()
 
 
 @pytest.fixture(scope="module")

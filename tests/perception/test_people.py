@@ -1,7 +1,5 @@
 """People in single frames: OpenCV's detector at all scales."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """From pictures to the table of observations: angles, tracks, models, and people who lean."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`perception report`: the content of its folder, its messages, and resuming."""
 
-from __future__ import annotations
-
 import gc
 import shutil
 import tracemalloc
@@ -84,12 +82,7 @@ def test_it_says_what_was_assumed(reported: tuple[Path, str]) -> None:
     folder, said = reported
     assumed = (folder / "assumptions.txt").read_text().splitlines()
     page = (folder / "report.html").read_text()
-    for words in (
-        "2.5 a second (as given)",
-        "21 boxes of",
-        "the camera is that of",
-        "3 walking people",
-    ):
+    for words in ("2.5 a second (as given)", "21 boxes of", "the camera is that of", "3 walking people"):
         assert sum(words in line for line in assumed) == 1
         assert words in said and words in page
     assert page.count("data:image/jpeg;base64,") == 6

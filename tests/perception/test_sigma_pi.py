@@ -1,7 +1,5 @@
 """The Sigma-Pi tracker: its cues and equations written out, synthetic videos, and recordings."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`perception simulate`: renderings agree with their labels, and other commands read them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Rendered pictures, rooms under a ceiling camera and moving heads against other geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

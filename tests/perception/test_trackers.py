@@ -1,7 +1,5 @@
 """Properties of every tracker, and differences of the paper's form."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 

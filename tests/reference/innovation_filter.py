@@ -5,8 +5,6 @@ are those with the likeliest innovations, for each person. An angle that is not 
 travel.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

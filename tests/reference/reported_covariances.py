@@ -1,7 +1,5 @@
 """Reported covariances once more, in NumPy and from their documentation alone."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray

@@ -1,46 +1,20 @@
-"""TrackEval's figures for the scenes of the tests.
+"""TrackEval's figures for identified rows.
 
-``python tests/reference/trackeval_scores.py`` writes ``trackeval_scores.json`` next to this file; it needs
-``pip install --no-deps trackeval==1.3.0``, as in the Makefile: opencv-python, for which TrackEval asks, would
-take the place of the opencv-python-headless that the package needs.
+It is installed by ``pip install --no-deps trackeval==1.3.0``, as in the Makefile: opencv-python, for which
+it asks, would take the place of the opencv-python-headless that the package needs.
 """
 
-from __future__ import annotations
-
-import json
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from graphtrack.evaluation.matching import IdentifiedRows
 
-STORED = Path(__file__).with_suffix(".json")
-SEEDS = range(12)
-GROUND, IMAGE = {"metres": 0.5}, {"iou": 0.3}
-SCENES = {"ground": GROUND, "image": IMAGE}
-
-COUNTS = {
-    "matches": "CLR_TP",
-    "misses": "CLR_FN",
-    "false_positives": "CLR_FP",
-    "switches": "IDSW",
-    "fragmentations": "Frag",
-    "mostly_tracked": "MT",
-    "partly_tracked": "PT",
-    "mostly_lost": "ML",
-}
-SHARES = {
-    "mota": "MOTA",
-    "motp": "MOTP",
-    "precision": "CLR_Pr",
-    "recall": "CLR_Re",
-    "idf1": "IDF1",
-    "idp": "IDP",
-    "idr": "IDR",
-}
+COUNTS = {"matches": "CLR_TP", "misses": "CLR_FN", "false_positives": "CLR_FP", "switches": "IDSW"}
+COUNTS |= {"fragmentations": "Frag", "mostly_tracked": "MT", "partly_tracked": "PT", "mostly_lost": "ML"}
+SHARES = {"mota": "MOTA", "motp": "MOTP", "precision": "CLR_Pr", "recall": "CLR_Re"}
+SHARES |= {"idf1": "IDF1", "idp": "IDP", "idr": "IDR"}
 MEANS = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
 CURVES = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
 """Ours → theirs; curves have one name."""
@@ -92,33 +66,5 @@ def _data(estimates: IdentifiedRows, truth: IdentifiedRows, metres: float | None
     }
 
 
-def rounded(value: Any) -> Any:
-    """Figures as they are stored, to twelve digits."""
-    if isinstance(value, dict):
-        return {name: rounded(one) for name, one in value.items()}
-    if isinstance(value, list):
-        return [rounded(one) for one in value]
-    return round(value, 12) if isinstance(value, float) else value
-
-
 def without_curves(figures: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in figures.items() if name != "curves"}
-
-
-def main() -> None:
-    """Store the figures of every scene, and of all together with their curves."""
-    from tracking_scenes import random_scene
-
-    stored = {}
-    for kind, demand in SCENES.items():
-        pairs = [random_scene(seed, boxes=kind == "image") for seed in SEEDS]
-        stored[kind] = {
-            "sequences": [rounded(without_curves(oracle([pair], **demand))) for pair in pairs],
-            "together": rounded(oracle(pairs, **demand)),
-        }
-    STORED.write_text(json.dumps(stored, separators=(",", ":")) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-    main()

@@ -10,7 +10,7 @@ import pytest
 from command import run
 from made_up import observed, walker
 from made_up_behaviour import AHEAD, BAR, SCREEN, forecast, grouped, looking, standing
-from page_scripts import delta_decode, in_browser, in_node
+from page_scripts import decoded, delta_decode, in_browser, in_node
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -50,10 +50,8 @@ def report(tracks):
 
 def in_page(report, code):
     """Return the value of ``code``, with the page's ``people`` and ``behaviour`` at hand."""
-    data = json.dumps(report.replay)
     start = (
-        f"const data = {data}; const people = data.people.map((p) => decodePerson(p, data.steps));"
-        "const behaviour = decodeBehaviour(data, people);"
+        f"{decoded(report.replay)} const behaviour = decodeBehaviour(data, people);"
         "const present = (t) => people.map((person, index) => ({ person, index, state: stateAt(person, t) }))"
         ".filter(({ state }) => state);"
     )

@@ -149,19 +149,6 @@ def test_the_parts_that_the_scripts_look_for_are_in_the_page(full):
     assert wanted == there
 
 
-def test_nobody_at_all_still_makes_a_page():
-    page = render_report(tracking_report(TrackSet(())))
-    assert "<canvas" not in page
-
-
-def test_clock_times_count_from_the_start_and_say_so():
-    track = walker(1)
-    late = walker(1, t=track.t + 1.7e9)
-    report = tracking_report(TrackSet((late,)), TrackSet((observed(late),)))
-    assert report.subtitle == "Times count from 1700000000 s."
-    assert report.replay["people"][0]["t"][0] == 0
-
-
 def test_the_table_of_people_holds_their_errors():
     estimates, observations = scene(people=2)
     report = tracking_report(estimates, observations)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_up import observed, scene, walker
-from page_scripts import delta_decode, in_node
+from page_scripts import decoded, delta_decode, in_node
 
 from graphtrack.geometry.angles import difference, wrap
 from graphtrack.report.html import packed
@@ -20,14 +20,6 @@ from graphtrack.tracks.track import TrackSet
 
 def data_of(*tracks, **options):
     return replay_data(pair_tracks(TrackSet(tracks)), **options)
-
-
-def decoded(data):
-    """JavaScript that makes the people."""
-    return (
-        f"const data = {json.dumps(data)};"
-        "const people = data.people.map((coded) => decodePerson(coded, data.steps));"
-    )
 
 
 def test_the_page_unpacks_what_python_packed():
@@ -283,12 +275,8 @@ def test_the_page_shows_people_where_they_are():
     seen = replace(observed(estimate), t=jump.t)
     data = replay_data(pair_tracks(TrackSet((jump,)), TrackSet((seen,))), max_rate=100.0)
     between = (jump.t[:-1] + jump.t[1:]) / 2.0
-    code = f"""
-    const data = {json.dumps(data)};
-    const person = decodePerson(data.people[0], data.steps);
-    const ask = (times) => times.map((t) => stateAt(person, t));
-    return [ask({jump.t.tolist()}), ask({between.tolist()}), ask([-1, 99])];
-    """
+    code = f"""{decoded(data)} const ask = (times) => times.map((t) => stateAt(people[0], t));
+    return [ask({jump.t.tolist()}), ask({between.tolist()}), ask([-1, 99])];"""
     at, halfway, outside = in_node(("replay_data.js",), code)
     assert outside == [None, None]
     for i, state in enumerate(at):

@@ -1,7 +1,5 @@
 """Detections larger than memory: blocks of time with an overlap, and people who keep their numbers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

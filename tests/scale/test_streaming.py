@@ -1,7 +1,5 @@
 """Data sets smoothed track by track: the bytes of the in-memory result, whatever the layout of the input."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Processes that do not answer: they are killed, count until then, and block no name for long."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

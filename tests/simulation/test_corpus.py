@@ -1,7 +1,5 @@
 """The corpus of the intentional tracker's paper, and strollers of another model than the estimator's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +8,7 @@ import pytest
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, wrap
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour, simulate_corpus
-from graphtrack.simulation.crowd import (
-    StrollerParameters,
-    full_turns_too_many,
-    standing,
-    strollers,
-)
+from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, standing, strollers
 
 SMALL = CorpusParameters(tracks=40)
 

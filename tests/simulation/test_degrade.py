@@ -1,8 +1,7 @@
 """Added noise, simulated classifiers and detectors have their statistics; windows are at turns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,12 +84,6 @@ def test_channels_without_noise_stay_and_missing_stays_missing() -> None:
     assert noisy.pixel is None, "the pixels would win over the noisy positions"
 
 
-@pytest.mark.parametrize("bad", [{"position_std": -1.0}, {"body_kappa": -0.1}, {"head_kappa": float("inf")}])
-def test_impossible_noise_is_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=next(iter(bad))):
-        add_noise(TrackSet((corner(5.0),)), rng=np.random.default_rng(0), **bad)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("at", [4.0, 6.3, 8.5])
 def test_the_window_lies_around_the_turn_and_hides_what_it_says(at: float) -> None:
     track = replace(corner(at), body_kappa=np.full(120, 2.0), position_std=np.full(120, 0.1))
@@ -128,8 +121,6 @@ def test_a_rough_truth_does_not_hide_the_turn() -> None:
 
     assert share(turn_seconds=3.0) == 1.0
     assert share() < 0.8
-    with pytest.raises(InputError, match="turn_seconds"):
-        occlude(TrackSet(tuple(rough)), 3.0, turn_seconds=0.0)
 
 
 def test_tracks_without_room_are_left_out_with_their_reason() -> None:
@@ -148,9 +139,39 @@ def test_tracks_without_room_are_left_out_with_their_reason() -> None:
         and "move" in hidden.left_out[2]
         and "position" in hidden.left_out[3]
     )
-    for bad in (0.0, -1.0, float("nan")):
-        with pytest.raises(InputError, match="seconds"):
-            occlude(TrackSet((fine,)), bad)
+
+
+NAN, INFINITE = float("nan"), float("inf")
+REFUSED = [
+    (add_noise, {"position_std": -1.0}, "position_std"),
+    (add_noise, {"body_kappa": -0.1}, "body_kappa"),
+    (add_noise, {"head_kappa": INFINITE}, "head_kappa"),
+    *((occlude, {"seconds": wrong}, "seconds") for wrong in (0.0, -1.0, NAN)),
+    (occlude, {"seconds": 3.0, "turn_seconds": 0.0}, "turn_seconds"),
+    (add_class_likelihoods, {"body": np.eye(12)}, r"shape \(12, 12\)"),
+    (add_class_likelihoods, {"body": np.ones((8, 8))}, "rows that sum to 1"),
+    *((sampled, {"every": wrong}, "every") for wrong in (0.0, -1.0, INFINITE, 1e-12)),
+]
+
+
+@pytest.mark.parametrize(("function", "wrong", "said"), REFUSED)
+def test_what_is_impossible_is_refused(function: Any, wrong: dict[str, Any], said: str) -> None:
+    random = {"rng": np.random.default_rng(0)} if function in (add_noise, add_class_likelihoods) else {}
+    with pytest.raises(InputError, match=said):
+        function(TrackSet((corner(5.0),)), **wrong, **random)
+
+
+@pytest.mark.parametrize(
+    ("classes", "shares", "said"),
+    [
+        (8, {"flipped": 0.8, "at_random": 0.3}, "at most 1 together"),
+        (8, {"flipped": -0.1}, "at most 1 together"),
+        (7, {}, "7 classes"),
+    ],
+)
+def test_confusions_that_are_none_are_refused(classes: int, shares: dict[str, float], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        confusion_matrix(classes, **shares)
 
 
 def test_answers_come_as_often_as_the_confusion_says() -> None:
@@ -177,22 +198,6 @@ def test_what_is_not_known_is_not_seen() -> None:
     (seen,) = add_class_likelihoods(replace(track, true_body=truth), rng=np.random.default_rng(0))
     assert np.isnan(seen.body_likelihood[2]).all()
     assert np.isfinite(seen.body_likelihood[[0, 1, 3, 4]]).all()
-
-
-@pytest.mark.parametrize(
-    ("body", "said"), [(np.eye(12), r"shape \(12, 12\)"), (np.ones((8, 8)), "rows that sum to 1")]
-)
-def test_a_matrix_that_is_no_confusion_is_refused(body: np.ndarray, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        add_class_likelihoods(walk(3), body=body, rng=np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("shares", [{"flipped": 0.8, "at_random": 0.3}, {"flipped": -0.1}])
-def test_shares_that_are_none_are_refused(shares: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="at most 1 together"):
-        confusion_matrix(8, **shares)
-    with pytest.raises(InputError, match="7 classes"):
-        confusion_matrix(7)
 
 
 ALL_FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0)
@@ -312,12 +317,6 @@ def test_sampling_goes_straight_on_between_rows_and_the_shorter_way_round() -> N
     degrees = np.degrees(np.unwrap(track.body))
     np.testing.assert_allclose(degrees, [170.0, 190.0, 180.0, 170.0, 160.0])
     assert track.label == "one" and "1 track between them left out" in found.summary.notes[-1]
-
-
-@pytest.mark.parametrize("every", [0.0, -1.0, float("inf"), 1e-12])
-def test_impossible_times_are_refused(every: float) -> None:
-    with pytest.raises(InputError, match="every"):
-        sampled(crowd(), every)
 
 
 @pytest.mark.parametrize(

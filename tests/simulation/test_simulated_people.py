@@ -1,7 +1,5 @@
 """Simulated people have the statistics of the estimator's model, at every frame rate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

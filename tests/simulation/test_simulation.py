@@ -1,14 +1,12 @@
 """Simulated tracks and courses of angles have the statistics of the model they are sampled from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from graphtrack import InputError
-from graphtrack.baselines.kalman import process_noise, transition_matrix
-from graphtrack.geometry.angles import difference, direction, mean_resultant_length
+from graphtrack.constant_velocity import process_noise, transition_matrix
+from graphtrack.geometry.angles import difference, direction
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.motion import sample_course, sample_positions, sample_velocity
 from graphtrack.simulation.sampling import simulate
@@ -18,17 +16,6 @@ from graphtrack.simulation.scenario import party, scenario
 def chi2_band(dof: float) -> tuple[float, float]:
     low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], dof)
     return float(low), float(high)
-
-
-def resultant_is(deviations: np.ndarray, kappa: np.ndarray | float) -> None:
-    """Assert that cos and sin of the deviations have the means of von Mises with these concentrations."""
-    kappa = np.broadcast_to(np.asarray(kappa, dtype=float), deviations.shape)
-    expected = mean_resultant_length(kappa)
-    variance = 1.0 - expected / kappa - expected**2
-    z = np.sum(np.cos(deviations) - expected) / np.sqrt(variance.sum())
-    assert abs(z) < 4.0
-    # E[sin²] = A(κ)/κ, and sin has mean 0.
-    assert abs(np.sum(np.sin(deviations))) < 4.0 * np.sqrt(np.sum(expected / kappa))
 
 
 def test_motion_increments_have_the_covariance_of_the_model_at_uneven_steps() -> None:
@@ -61,20 +48,6 @@ def test_without_couplings_head_and_body_know_nothing_of_each_other() -> None:
     assert alignment("joint") > 0.5
 
 
-def test_observations_have_the_stated_noise() -> None:
-    tracks = simulate(
-        "joint", n_tracks=20, rng=np.random.default_rng(4), position_std=0.3, body_kappa=1.5, head_kappa=6.0
-    )
-    error = np.concatenate([track.position - track.true_position for track in tracks])
-    low, high = chi2_band(error.size)
-    assert low < np.sum(error**2) / 0.3**2 < high
-    for name, kappa in (("body", 1.5), ("head", 6.0)):
-        resultant_is(
-            np.concatenate([getattr(track, name) - getattr(track, f"true_{name}") for track in tracks]), kappa
-        )
-        assert all(np.all(getattr(track, f"{name}_kappa") == kappa) for track in tracks)
-
-
 def test_presets_have_the_channels_of_their_model() -> None:
     rng = np.random.default_rng(7)
     assert all(track.body is None and track.true_head is None for track in simulate("position", rng=rng))
@@ -85,7 +58,11 @@ def test_presets_have_the_channels_of_their_model() -> None:
 
 
 def test_missing_observations_come_at_their_rate_and_never_first() -> None:
-    tracks = simulate("joint", n_tracks=50, rng=np.random.default_rng(8), missing=0.3)
+    noise = {"position_std": 0.3, "body_kappa": 1.5, "head_kappa": 6.0}
+    tracks = simulate("joint", n_tracks=50, rng=np.random.default_rng(8), missing=0.3, **noise)
+    assert all((getattr(track, name)[0] == value).all() for track in tracks for name, value in noise.items())
+    error = np.concatenate([track.position - track.true_position for track in tracks])
+    assert np.nanstd(error) == pytest.approx(0.3, rel=0.03)
     for name in ("position", "body", "head"):
         values = np.stack([getattr(track, name).reshape(len(track), -1)[:, 0] for track in tracks])
         assert np.isfinite(values[:, 0]).all()

@@ -1,7 +1,5 @@
 """Clocks that jump, and what streams keep while people, streams and time come and go."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -210,10 +208,7 @@ def test_a_person_who_returns_after_being_forgotten_is_new() -> None:
         assert ([row for row in found if row["track_id"] == 1] == fresh) == is_new
 
 
-OPTIONS: dict[str, dict[str, Any]] = {
-    "plain": {},
-    "everything": {"asked": ALL, "horizon": (0.8, 0.4)},
-}
+OPTIONS: dict[str, dict[str, Any]] = {"plain": {}, "everything": {"asked": ALL, "horizon": (0.8, 0.4)}}
 
 
 @pytest.mark.parametrize(

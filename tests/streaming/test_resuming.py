@@ -1,7 +1,5 @@
 """Every kind of saved state with every option: a resumed run equals an uninterrupted one, bit by bit."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

@@ -1,7 +1,5 @@
 """A tracker without learning: it follows red pixels, and reports the position of a red blob."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command lines, called from tests."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

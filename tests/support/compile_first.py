@@ -3,8 +3,6 @@
 Each worker would compile for itself, mostly twice the same.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """A model's cost about some states, and its derivatives by finite differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import gtsam

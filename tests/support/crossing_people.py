@@ -1,7 +1,5 @@
 """People who cross a place, their detections, and the accuracy of their identities."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

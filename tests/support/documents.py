@@ -1,7 +1,5 @@
 """Code blocks of documents: Python and commands run in this process, other lines in a shell."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """Print what the first call of each function compiles after `graphtrack.warm_up` by its name."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A small synthetic file of every format, with its accompanying files."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path

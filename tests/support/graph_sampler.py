@@ -5,8 +5,6 @@ whose observations are the couplings does, with backward simulation: each track 
 number of particles grows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every function that reads a file or a line from outside, each with a small valid input."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -91,22 +89,10 @@ def _of_format(sample: Sample, *, named: bool) -> Read:
 
 
 _BOX = b"0,1,10,20,30,40,1,-1,-1,-1\n1,1,10,20,30,40,1,-1,-1,-1\n"
-_CALIBRATION = b"".join(
-    b"%s = %s\n" % pair
-    for pair in (
-        (b"FocalLengthX", b"900"),
-        (b"FocalLengthY", b"900"),
-        (b"PrincipalPointX", b"480"),
-        (b"PrincipalPointY", b"270"),
-        (b"TranslationX", b"0"),
-        (b"TranslationY", b"1"),
-        (b"TranslationZ", b"9"),
-        (b"RotationX", b"0.9"),
-        (b"RotationY", b"0.1"),
-        (b"RotationZ", b"0.1"),
-        (b"RotationW", b"0.4"),
-    )
-)
+_CALIBRATION = b"""FocalLengthX = 900\nFocalLengthY = 900\nPrincipalPointX = 480\nPrincipalPointY = 270
+TranslationX = 0\nTranslationY = 1\nTranslationZ = 9
+RotationX = 0.9\nRotationY = 0.1\nRotationZ = 0.1\nRotationW = 0.4
+"""
 _ROW = (
     b'{"track_id": 1, "frame": 0, "t": 0.5, "x": 1.5, "y": 2, "head_p0": 0.5, "label": "a", "input_a": 1}\n'
 )
@@ -147,10 +133,7 @@ OPTION_FILES = (
         read_attention,
     ),
     InputReader(
-        "places",
-        "places.csv",
-        b"name,x,y,radius,polygon\ndoor,1,2,.5,\nwall,,,,0 0 1 0 1 1\n",
-        read_places,
+        "places", "places.csv", b"name,x,y,radius,polygon\ndoor,1,2,.5,\nwall,,,,0 0 1 0 1 1\n", read_places
     ),
     InputReader(
         "forecasts",

@@ -1,7 +1,5 @@
 """A term's kernels evaluated one by one, from tracks packed whole."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small groups, attention and forecasts for the tests of the report."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphtrack.forecasting.recorded import Forecasts

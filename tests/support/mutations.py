@@ -1,7 +1,5 @@
 """Random changes of the bytes, cells and lines of a file."""
 
-from __future__ import annotations
-
 import numpy as np
 
 JUNK = (

@@ -1,7 +1,5 @@
 """People who walk and turn, observed with noise, some of them sideways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphtrack.geometry.angles import unit, wrap

@@ -1,7 +1,5 @@
 """Small ONNX files in the layouts of YOLO networks, whose outputs are known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Running the page's own scripts, in node or in a browser, where there is one."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -79,3 +77,11 @@ def delta_decode(codes, step, n):
             last += code
             out[i] = last * step
     return out
+
+
+def decoded(data):
+    """Return JavaScript that makes the people of a replay's data."""
+    return (
+        f"const data = {json.dumps(data)};"
+        "const people = data.people.map((coded) => decodePerson(coded, data.steps));"
+    )

@@ -1,7 +1,5 @@
 """Random tracks and models for comparing engines: everything that can be missing or uneven is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings of ROS 2, written by rosbags itself."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

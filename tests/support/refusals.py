@@ -1,7 +1,5 @@
 """Inputs that are refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Recordings of Rerun, read back."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Comparison of sets of tracks to the last bit."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

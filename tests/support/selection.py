@@ -1,7 +1,5 @@
 """Which cases of a parametrised test run every time, and which with ``make test-all``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

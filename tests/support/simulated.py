@@ -1,7 +1,5 @@
 """People whose parameters are known, for learning tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

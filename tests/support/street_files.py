@@ -1,7 +1,5 @@
 """Files of a rendered street, as the command line names them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """People and a bad tracker's output: misses, gaps, false positives, swaps and new identities."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphtrack.evaluation.matching import IdentifiedRows, known_detections

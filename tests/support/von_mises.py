@@ -1,7 +1,5 @@
 """Products of von Mises densities."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """Synthetic tracks for the tests: people who walk smoothly, observed with noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

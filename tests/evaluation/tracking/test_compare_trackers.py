@@ -1,7 +1,5 @@
 """Trackers get the same detections and scores; trackers of other packages are adapted or reported."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass, field

@@ -124,10 +124,7 @@ WRONG = {
     "no truth": ("one.csv", "Missing option '--truth'"),
     "no boxes": ("one.csv --truth truth.txt --iou 0.5", "the format csv, which has no boxes"),
     "no frame in common": ("later.csv --truth truth.csv", "no frame in common"),
-    "a truth without identities": (
-        "boxes.txt --truth detections.txt --iou 0.5",
-        "rows without identities",
-    ),
+    "a truth without identities": ("boxes.txt --truth detections.txt --iou 0.5", "rows without identities"),
     "a row twice": ("boxes.txt --truth twice.txt --iou 0.5", "track 2 again in frame 0"),
     "a truth without boxes": ("boxes.txt --truth nowhere.txt --iou 0.5", "nowhere.txt: found no boxes"),
     "no camera": ("boxes.txt --truth truth.txt", "no camera for the estimates"),
