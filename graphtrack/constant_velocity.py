@@ -75,6 +75,14 @@ def white_noise_acceleration(dt: FloatArray | float, density: FloatArray | float
     return Transition(dt, 1.0, still, still, noise)
 
 
+def axis_of(covariance: FloatArray) -> NDArray[Any]:
+    """Spreads (...) of `AXIS` from covariances (..., 4, 4) of x, y, vx, vy that both axes share."""
+    parts = covariance[..., 0, 0], covariance[..., 0, 2], covariance[..., 2, 2]
+    found = np.empty(parts[0].shape, AXIS)
+    found["pp"], found["pv"], found["vv"] = parts
+    return found
+
+
 def full_covariance(spread: NDArray[Any]) -> FloatArray:
     """Covariances (..., 4, 4) of x, y, vx, vy from those (...) of each axis (`AXIS`)."""
     # NaN, not 0, also between the axes of a track that has not begun.

@@ -61,7 +61,7 @@ def solve(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-    trust: Trust = "check",
+    trust: Trust = "declared",
     walkable: AreaLike | None = None,
     constants: Constants | None = None,
 ) -> list[Solution | Failure]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.kalman import filter_states
-from graphtrack.constant_velocity import predict_spread, white_noise_acceleration
+from graphtrack.constant_velocity import axis_of, predict_spread, white_noise_acceleration
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.parameters import Parameters
@@ -252,7 +252,7 @@ def _references(
         since = (made[rows] - t[last])[:, None] + ahead
         filtered[rows, :, :2] = mean[:, None, :2] + since[..., None] * mean[:, None, 2:]
         step = white_noise_acceleration(since, density)
-        filtered[rows, :, 2] = predict_spread(spread[:, None, [0, 0, 2], [0, 2, 2]], step)[..., 0]
+        filtered[rows, :, 2] = predict_spread(axis_of(spread)[:, None], step)["pp"]
     return true, straight, informed, filtered
 
 

@@ -134,7 +134,7 @@ class MotionFilters(Saved):
         velocity = self._velocity[at]
         predicted = self._position[at] + step * velocity
         error = position[:, None] - predicted
-        expected = ahead[..., 0] + noise
+        expected = ahead["pp"] + noise
         distance = np.abs(error) ** 2 / expected
         # Restart the filter after a jump or an identity switch, which no noise hypothesis explains.
         lost = distance.min(axis=1) > _FARTHEST

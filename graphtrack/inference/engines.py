@@ -104,7 +104,7 @@ class SolverOptions:
     ----------
     max_iterations : most steps
     relative_tolerance : of the cost. GTSAM stops after a smaller decrease; the chain engine, whose steps
-        converge quadratically, when the predicted decrease is less than a thousandth of it.
+        converge quadratically, when the predicted decrease is less than ten times that.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
     basin_search : basin search: where observations contradict each other, search a grid of orientations for a
         better basin, and descend from there (with GTSAM too, where every term has compiled kernels)

@@ -102,8 +102,8 @@ class Kernel:
     def _column(self, symbol: str, packed: PackedTracks, states: FloatArray) -> FloatArray:
         """Values (n,) of a symbol, or of an element as in ``number_x[0]``."""
         name, _, element = symbol.partition("[")
-        variable, _, _ = self._named(name).partition("_before")
-        if symbol.removesuffix("_before") in (*VARIABLES, "angle"):
+        variable = name.removesuffix("_before")
+        if variable in (*VARIABLES, "angle"):
             column = states[:, VARIABLES.index(self.angle or "" if variable == "angle" else variable)]
             return np.roll(column, 1) if symbol.endswith("_before") else column
         field, n = self._named(name), len(states)

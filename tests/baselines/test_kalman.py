@@ -20,6 +20,7 @@ from graphtrack.baselines.kalman import (
 )
 from graphtrack.baselines.particle_filter import particle_filter, particle_smoother
 from graphtrack.constant_velocity import (
+    AXIS,
     compiled_spread,
     full_covariance,
     predict_covariance,
@@ -98,7 +99,7 @@ def test_every_form_of_a_prediction_is_the_continuous_model_integrated(
     seed: int, dt: float, density: float
 ) -> None:
     a, cross, c = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
-    spread = np.array([abs(a) + 1.0, cross, abs(c) + 1.0])
+    spread = np.array((abs(a) + 1.0, cross, abs(c) + 1.0), AXIS)
     transition, noise = discretised(dt, density)
     before = np.full((6, 6), np.nan)  # of angles that are not estimated
     before[:4, :4] = full_covariance(spread)
@@ -107,9 +108,9 @@ def test_every_form_of_a_prediction_is_the_continuous_model_integrated(
     np.testing.assert_allclose(ahead[:4, :4], expected, rtol=1e-9, atol=1e-12)
     for found in (
         predict_spread(spread, white_noise_acceleration(dt, density)),
-        compiled_prediction(*spread, dt, density),
+        compiled_prediction(*spread.tolist(), dt, density),
     ):
-        np.testing.assert_allclose(full_covariance(np.array(found)), expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(full_covariance(np.array(found, AXIS)), expected, rtol=1e-9, atol=1e-12)
 
 
 @numba.njit

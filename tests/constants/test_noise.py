@@ -360,9 +360,9 @@ def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
     tracks = misdeclared(people(6, preset="separate"), 1 / 3, 1.0, 1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        plain = gt.smooth(tracks, "separate")
+        plain = gt.smooth(tracks, "separate", trust="declared")
     with pytest.warns(InputWarning, match="position: the noise is 3"):
-        checked = gt.smooth(tracks, "separate", trust="check")
+        checked = gt.smooth(tracks, "separate")
     with pytest.warns(InputWarning, match="corrected"):
         learned = gt.smooth(tracks, "separate", trust="learn")
 
