@@ -13,13 +13,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from graphtrack.errors import InputError
 from graphtrack.kernels.layout import Function
-
-if TYPE_CHECKING:
-    import sympy
+from graphtrack.packages import sympy
 
 VARIABLES = ("x", "y", "vx", "vy", "body", "head")  # In the order of the state
 _UNIT_VECTORS = ("body_sin", "head_sin", "angle_sin", "number_sin")
@@ -59,8 +57,6 @@ def chord(kappa: Any, angle: Any, mean: Any = 0, scale: Any = 1) -> list[sympy.E
     They are the chord √κ·s·(u(angle) − u(mean)) of two unit vectors. ``mean`` is an angle or such a vector;
     numbers named ``cos`` and ``sin`` are taken for one.
     """
-    import sympy
-
     root = sympy.sqrt(kappa) * scale
     vector = mean if isinstance(mean, Sequence) else (sympy.cos(mean), sympy.sin(mean))
     return [root * (sympy.cos(angle) - vector[0]), root * (sympy.sin(angle) - vector[1])]
@@ -77,8 +73,6 @@ class FrameSymbols:
     """
 
     def __init__(self, end: str = "") -> None:
-        import sympy
-
         self.x, self.y, self.vx, self.vy, self.body, self.head, self.angle = (
             sympy.Symbol(f"{name}{end}", real=True) for name in (*VARIABLES, "angle")
         )
@@ -95,8 +89,6 @@ class FrameSymbols:
 
         The term does not act where it is missing.
         """
-        import sympy
-
         self._inputs[name] = size
         found = sympy.symbols([f"input_{name}_{k}" for k in range(size or 1)], real=True)
         return found if size else found[0]
@@ -147,8 +139,6 @@ class Derived:
 
         They are taken from the origin of the track, which keeps their digits.
         """
-        import sympy
-
         names = (axis, f"{axis}_before", f"number_{axis}")
         every = [sympy.Symbol(name, real=True) for name in names]
         slopes = (sum(one.diff(symbol) for symbol in every) for one in self._cost.residuals)
@@ -161,8 +151,6 @@ class Derived:
     @cached_property
     def density(self) -> tuple[list[str], Callable[..., Any]]:
         """Names of symbols, and the cost as a function of arrays of them."""
-        import sympy
-
         value = sympy.Piecewise((self._value(self._cost.residuals), self._cost.where), (0, True))
         used = sorted(value.free_symbols, key=str)
         return [symbol.name for symbol in used], sympy.lambdify(used, value, "numpy")
@@ -193,13 +181,10 @@ class Derived:
 
     def _of_residuals(self) -> tuple[list[str], set[Any]]:
         """Lines of a kernel from residuals, and the symbols that they read."""
-        import sympy
-
-        symbols = [one.symbol for one in self._variables]
-        n, named = len(symbols), dict[str, Any]()
+        symbols, named = [one.symbol for one in self._variables], dict[str, Any]()
 
         def name(text: str, value: Any) -> Any:
-            """Return a name for an expression, or a number itself."""
+            """Return a name for an expression; a number is its own."""
             if value.is_number:
                 return value
             named[text] = value
@@ -210,30 +195,24 @@ class Derived:
             [name(f"j{k}_{i}", one.diff(symbol)) for i, symbol in enumerate(symbols)]
             for k, one in enumerate(self._cost.residuals)
         ]
-        pull = [sum(a * row[i] for a, row in zip(r, jacobian, strict=True)) for i in range(n)]
-        half, first, second = sum(one**2 for one in r) / 2, sympy.Integer(1), sympy.Integer(0)
-        cost = half
+        pull = [sum(a * row[i] for a, row in zip(r, jacobian, strict=True)) for i in range(len(symbols))]
+        cost = sum(one**2 for one in r) / 2
+        weight, bend = sympy.Integer(1), sympy.Integer(0)  # The first two derivatives of the loss.
         if self._cost.loss is not None:
-            s = sympy.Dummy(positive=True)
-            cost, first, second = (
-                sympy.sympify(self._cost.loss(s)).diff(s, order).subs(s, sympy.Symbol("half"))
-                for order in range(3)
-            )
-            named |= {"half": half, "weight": first, "bend": second}
-            first, second = sympy.Symbol("weight"), sympy.Symbol("bend")
-            named |= {f"pull{i}": one for i, one in enumerate(pull)}
-            pull = [sympy.Symbol(f"pull{i}") for i in range(n)]
+            s, half = sympy.Dummy(positive=True), name("half", cost)
+            loss = sympy.sympify(self._cost.loss(s))
+            cost, weight, bend = (loss.diff(s, order).subs(s, half) for order in range(3))
+            weight, bend = name("weight", weight), name("bend", bend)
+            pull = [name(f"pull{i}", one) for i, one in enumerate(pull)]
         sums, exactly = dict[str, Any](), dict[str, Any]()
         for i, one in enumerate(self._variables):
-            sums[f"gradient{one.end}[{one.index}]"] = first * pull[i]
+            sums[f"gradient{one.end}[{one.index}]"] = weight * pull[i]
             for j in range(i + 1):
-                block, newton = one.block(self._variables[j]), sympy.Integer(0)
-                bent = second * pull[i] * pull[j]
+                block, curves = one.block(self._variables[j]), bend * pull[i] * pull[j]
                 for k, residual in enumerate(self._cost.residuals):
-                    newton += first * jacobian[k][i] * jacobian[k][j]
-                    curve = residual.diff(symbols[i], symbols[j])
-                    bent += first * r[k] * name(f"c{k}_{i}_{j}", curve) if curve != 0 else 0
-                sums[block], exactly[block] = newton, bent
+                    if (curve := residual.diff(symbols[i], symbols[j])) != 0:
+                        curves += weight * r[k] * name(f"c{k}_{i}_{j}", curve)
+                sums[block], exactly[block] = weight * sum(row[i] * row[j] for row in jacobian), curves
         if self._cost.loss is None and all(one.rank >= _FIRST_ANGLE for one in self._variables):
             known = {sympy.Symbol(text, real=True): value for text, value in named.items()}
             parts = {"cost": cost}, sums, exactly
@@ -242,8 +221,6 @@ class Derived:
 
     def _of_value(self) -> tuple[list[str], set[Any]]:
         """The same from a value of one variable."""
-        import sympy
-
         (one,) = self._variables
         slope, value = f"gradient{one.end}[{one.index}]", self._cost.value
         assert value is not None
@@ -291,7 +268,6 @@ def derived(function: CostFunction, shapes: tuple[tuple[str, tuple[int, ...]], .
 
 def _symbols_of(name: str, shape: tuple[int, ...]) -> Any:
     """Symbols of a number, or of an array."""
-    import sympy
 
     def symbol(*index: int) -> Any:
         element = f"[{', '.join(map(str, index))}]" if index else ""
@@ -304,8 +280,6 @@ def _symbols_of(name: str, shape: tuple[int, ...]) -> Any:
 
 
 def _cost(given: Any) -> Cost:
-    import sympy
-
     found = given if isinstance(given, Cost) else Cost(_flat(given))
     # A piecewise function is differentiated piece by piece, without Dirac's delta at its limits.
     plain = [sympy.sympify(one).rewrite(sympy.Piecewise) for one in found.residuals]
@@ -326,8 +300,6 @@ def _stepwise(
     named: Mapping[str, Any], sums: Mapping[str, Any] | None = None, exactly: Mapping[str, Any] | None = None
 ) -> tuple[list[str], set[Any]]:
     """Lines that assign names and add to sums, some for ``exact`` alone, and the symbols that they read."""
-    import sympy
-
     sums, exactly = sums or {}, {name: one for name, one in (exactly or {}).items() if one != 0}
     every = [_turned(one) for one in (*named.values(), *sums.values(), *exactly.values())]
     # Assigned in this order: each may read those before it.
@@ -351,8 +323,6 @@ def _stepwise(
 
 def _reduced(expression: Any, known: Mapping[Any, Any]) -> Any:
     """Return an expression of angles without the names, and with sin² = 1 − cos²."""
-    import sympy
-
     found = sympy.expand(_turned(sympy.sympify(expression).subs(known)))
     for sin in found.free_symbols:
         if sin.name.startswith(_UNIT_VECTORS):
@@ -363,8 +333,6 @@ def _reduced(expression: Any, known: Mapping[Any, Any]) -> Any:
 
 def _turned(expression: Any) -> Any:
     """Replace cosines and sines of angles by the symbols that kernels are given."""
-    import sympy
-
     for end in ("", "_before"):
         for name in ("body", "head", "angle"):
             angle = sympy.Symbol(f"{name}{end}", real=True)

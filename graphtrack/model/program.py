@@ -177,10 +177,10 @@ def add_observed_pixel(exact: Any, number_information: Any, number_robust: Any, 
     c1_1_1 = -step_16*(number_to_image[1, 1] - number_to_image[2, 1]*step_13)
     cost = (((1/2)*number_robust_threshold**2*math.log(2*half/number_robust_threshold**2 + 1)) if (number_robust > 1.5) else (((math.sqrt(2)*math.sqrt(half)*number_robust_threshold - 1/2*number_robust_threshold**2) if (half > (1/2)*number_robust_threshold**2) else (half))) if (number_robust > 0.5) else (half))
     gradient[0] += pull0*weight
-    hessian[0, 0] += j0_0**2*weight + j1_0**2*weight
+    hessian[0, 0] += weight*(j0_0**2 + j1_0**2)
     gradient[1] += pull1*weight
-    hessian[1, 0] += j0_0*j0_1*weight + j1_0*j1_1*weight
-    hessian[1, 1] += j0_1**2*weight + j1_1**2*weight
+    hessian[1, 0] += weight*(j0_0*j0_1 + j1_0*j1_1)
+    hessian[1, 1] += weight*(j0_1**2 + j1_1**2)
     if exact:
         hessian[0, 0] += bend*pull0**2 + c0_0_0*r0*weight + c1_0_0*r1*weight
         hessian[1, 0] += bend*pull0*pull1 + c0_1_0*r0*weight + c1_1_0*r1*weight
@@ -250,7 +250,7 @@ def add_doubtful_angle(angle_cos: Any, angle_sin: Any, exact: Any, number_cos: A
     c1_0_0 = step_1
     cost = -math.log((number_uniform + math.exp(-half))/(number_uniform + 1)) + math.log(2)
     gradient[place] += pull0*weight
-    hessian[place, place] += j0_0**2*weight + j1_0**2*weight
+    hessian[place, place] += weight*(j0_0**2 + j1_0**2)
     if exact:
         hessian[place, place] += bend*pull0**2 + c0_0_0*r0*weight + c1_0_0*r1*weight
     return cost
@@ -748,7 +748,7 @@ def add_faces_group(angle_cos: Any, angle_sin: Any, exact: Any, number_cos: Any,
     c1_0_0 = step_1
     cost = -number_weight*math.log(number_outliers + (1 - number_outliers)*math.exp(-half))
     gradient[place] += pull0*weight
-    hessian[place, place] += j0_0**2*weight + j1_0**2*weight
+    hessian[place, place] += weight*(j0_0**2 + j1_0**2)
     if exact:
         hessian[place, place] += bend*pull0**2 + c0_0_0*r0*weight + c1_0_0*r1*weight
     return cost
@@ -787,10 +787,10 @@ def add_persistence(angle_cos: Any, angle_cos_before: Any, angle_sin: Any, angle
     c1_1_1 = angle_sin_before
     cost = number_hold*number_probability*(-number_drift + math.sqrt(2*half + number_drift**2))
     gradient[place] += pull0*weight
-    hessian[place, place] += j0_0**2*weight + j1_0**2*weight
+    hessian[place, place] += weight*(j0_0**2 + j1_0**2)
     gradient_before[place] += pull1*weight
-    transition[place, place] += j0_0*j0_1*weight + j1_0*j1_1*weight
-    hessian_before[place, place] += j0_1**2*weight + j1_1**2*weight
+    transition[place, place] += weight*(j0_0*j0_1 + j1_0*j1_1)
+    hessian_before[place, place] += weight*(j0_1**2 + j1_1**2)
     if exact:
         hessian[place, place] += bend*pull0**2 + c0_0_0*r0*weight + c1_0_0*r1*weight
         transition[place, place] += bend*pull0*pull1

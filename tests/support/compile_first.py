@@ -15,8 +15,7 @@ def solver() -> None:
     from graphtrack.baselines.particle_filter import particle_smoother
     from graphtrack.inference.engines import TRACK
 
-    for preset in ("joint",):
-        gt.warm_up(preset, large=True)
+    gt.warm_up("joint")
     particle_smoother(TRACK)
     gt.track_online(TRACK, "joint", engine="isam2")
     gt.smooth(TRACK, "joint", engine="gtsam")
