@@ -1,6 +1,6 @@
 """The model: terms, parameters and presets."""
 
-from graphtrack.model.derivation import Cost, FrameSymbols, chord
+from graphtrack.model.costs import Cost, FrameSymbols, chord
 from graphtrack.model.function_term import FunctionTerm, term
 from graphtrack.model.model import Model, presets
 from graphtrack.model.observation import Observation, States, Step

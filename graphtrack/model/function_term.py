@@ -11,7 +11,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.layout import Field, VariableName
-from graphtrack.model.derivation import CostFunction, derived
+from graphtrack.model.costs import CostFunction
+from graphtrack.model.derivation import derived
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import Parameters

@@ -13,7 +13,8 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.layout import Function, VariableName
 from graphtrack.model import program
-from graphtrack.model.derivation import VARIABLES, CostFunction, Derived, derived
+from graphtrack.model.costs import VARIABLES, CostFunction
+from graphtrack.model.derivation import Derived, derived
 from graphtrack.model.packing import PackedTracks
 
 Orientation = Literal["body", "head"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.kernels.layout import Field
-from graphtrack.model.derivation import Cost, chord
+from graphtrack.model.costs import Cost, chord
 from graphtrack.model.kernel import Kernel, Orientation
 from graphtrack.model.observation import Observation
 from graphtrack.model.packing import PackedTracks

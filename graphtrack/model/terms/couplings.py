@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from graphtrack.kernels.layout import Field
-from graphtrack.model.derivation import Cost, chord
+from graphtrack.model.costs import Cost, chord
 from graphtrack.model.factors import von_mises_between
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Step

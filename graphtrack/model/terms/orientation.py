@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.layout import Field
-from graphtrack.model.derivation import Cost, CostFunction, chord
+from graphtrack.model.costs import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.kernel import Kernel, Orientation
 from graphtrack.model.observation import Observation, States, Step

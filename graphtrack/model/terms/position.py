@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.layout import Field
-from graphtrack.model.derivation import Cost
+from graphtrack.model.costs import Cost
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Observation, Step
 from graphtrack.model.packing import PackedTracks

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.walkable import MARGIN, WALLS, WalkableArea
 from graphtrack.kernels.layout import Field
-from graphtrack.model.derivation import Cost
+from graphtrack.model.costs import Cost
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Observation
 from graphtrack.model.packing import PackedTracks
