@@ -17,7 +17,6 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import batch
 from graphtrack.scale import dataset as writer
 from graphtrack.scale import open_dataset, smooth_dataset
 
@@ -101,21 +100,6 @@ def test_well_known_names_are_read_and_written_as_of_one_file(table, tmp_path):
         ).to_parquet(tmp_path / "unit.parquet")
         with pytest.raises(InputError, match=f"column {name} when streaming.*--no-stream"):
             open_dataset(tmp_path / "unit.parquet")
-
-
-def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeypatch):
-    path = tmp_path / "in.parquet"
-    table.to_parquet(path, index=False)
-    monkeypatch.setattr(batch, "LARGE", len(table))
-    expected = in_memory(path, tmp_path / "expected.parquet", "joint")
-    smooth_dataset(path, tmp_path / "out.parquet", "joint", batch_frames=50)
-    found, whole = pd.read_parquet(tmp_path / "out.parquet"), pd.read_parquet(expected)
-    # Which tracks share lanes changes the last bits on some processors.
-    pd.testing.assert_frame_equal(found, whole, rtol=1e-9, atol=1e-9)
-    # The rest: not all of them have classes.
-    monkeypatch.setattr(batch, "LARGE", len(table) + 1)
-    other = in_memory(path, tmp_path / "other.parquet", "joint")
-    assert other.read_bytes() != expected.read_bytes()
 
 
 def test_a_folder_is_one_table_and_its_files_may_have_different_columns(table, tmp_path):
