@@ -24,10 +24,10 @@ class Cost:
     Attributes
     ----------
     residuals : whitened; the cost is ½·‖r‖²
-    loss : ρ of that, or None
+    loss : ρ of that, or of the value, or None
     where : condition of the cost, else it is 0
-    value : in place of residuals, of one variable
-    least : curvature of that value which stands in for a smaller one in Gauss–Newton's
+    value : in place of ½·‖r‖², of one variable
+    least : curvature of the cost of a value which stands in for a smaller one in Gauss–Newton's
     """
 
     residuals: Sequence[sympy.Expr] = ()

@@ -82,10 +82,8 @@ class Derived:
         return [symbol.name for symbol in used], sympy.lambdify(used, value, "numpy")
 
     def _value(self, residuals: Sequence[Any]) -> Any:
-        if self._cost.value is not None:
-            return self._cost.value
-        half = sum(one**2 for one in residuals) / 2
-        return half if self._cost.loss is None else self._cost.loss(half)
+        inner = sum(one**2 for one in residuals) / 2 if self._cost.value is None else self._cost.value
+        return inner if self._cost.loss is None else self._cost.loss(inner)
 
     @cached_property
     def source(self) -> str:
@@ -125,9 +123,7 @@ class Derived:
         cost = sum(one**2 for one in r) / 2
         weight, bend = sympy.Integer(1), sympy.Integer(0)  # The first two derivatives of the loss.
         if self._cost.loss is not None:
-            s, half = sympy.Dummy(positive=True), name("half", cost)
-            loss = sympy.sympify(self._cost.loss(s))
-            cost, weight, bend = (loss.diff(s, order).subs(s, half) for order in range(3))
+            cost, weight, bend = self._derivatives(name("half", cost))
             weight, bend = name("weight", weight), name("bend", bend)
             pull = [name(f"pull{i}", one) for i, one in enumerate(pull)]
         sums, exactly = dict[str, Any](), dict[str, Any]()
@@ -147,14 +143,26 @@ class Derived:
 
     def _of_value(self) -> tuple[list[str], set[Any]]:
         """The same from a value of one variable."""
-        (one,) = self._variables
-        slope, value = f"gradient{one.end}[{one.index}]", self._cost.value
+        (one,), value = self._variables, self._cost.value
         assert value is not None
-        curve, least = sympy.Symbol("curve"), self._cost.least
-        named = {"cost": value, "curve": value.diff(one.symbol, 2)}
-        short = sympy.Max(0, least - curve) if least is not None else sympy.Integer(0)
-        block = one.block(one)
-        return _stepwise(named, {slope: value.diff(one.symbol), block: curve + short}, {block: -short})
+        named = {"inner": value, "slope": value.diff(one.symbol), "bend": value.diff(one.symbol, 2)}
+        inner, slope, bend = (sympy.Symbol(name, real=True) for name in named)
+        cost, first, second = self._derivatives(inner)
+        named |= {"cost": cost, "curve": first * bend + second * slope**2}
+        curve, short = sympy.Symbol("curve", real=True), sympy.Integer(0)
+        if self._cost.least is not None:
+            named["least"] = self._cost.least
+            short = sympy.Max(0, sympy.Symbol("least", real=True) - curve)
+        sums = {f"gradient{one.end}[{one.index}]": first * slope, one.block(one): curve + short}
+        return _stepwise(named, sums, {one.block(one): -short})
+
+    def _derivatives(self, inner: Any) -> list[Any]:
+        """The loss of a symbol, and its first two derivatives."""
+        if self._cost.loss is None:
+            return [inner, sympy.Integer(1), sympy.Integer(0)]
+        s = sympy.Dummy(positive=True)
+        loss = sympy.sympify(self._cost.loss(s))
+        return [loss.diff(s, order).subs(s, inner) for order in range(3)]
 
     def _offset(self, one: _Variable, sign: str = "") -> str:
         """The offset that makes a coordinate one of the world; empty for others, and for differences."""

@@ -115,14 +115,13 @@ def _observed_classes(n: int) -> CostFunction:
         """
         *of_classes, uniform = heights
         angle, centres = now.angle, [2 * sympy.pi * c / n for c in range(n)]
-        units = [(sympy.cos(one).evalf(17), sympy.sin(one).evalf(17)) for one in centres]
+        units = [(sympy.cos(one), sympy.sin(one)) for one in centres]
         cosines = [sympy.cos(angle) * x + sympy.sin(angle) * y for x, y in units]
         values = [h * sympy.exp(kappa * (close - 1)) for h, close in zip(of_classes, cosines, strict=True)]
         density = sum(values, uniform)
-        value = 2 * kappa - sympy.log(density)
         x, y = (sum(one * unit[axis] for one, unit in zip(values, units, strict=True)) for axis in (0, 1))
         half = kappa * sympy.sqrt(x**2 + y**2) / density / 2
-        return Cost(value=value, least=half)
+        return Cost(value=density, loss=lambda inner: 2 * kappa - sympy.log(inner), least=half)
 
     cost.__name__ = cost.__qualname__ = f"observed_classes_{n}"
     return cost
