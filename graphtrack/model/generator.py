@@ -27,6 +27,7 @@ from graphtrack.model.derivation import HEADER, module_of
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.model import every_term
 from graphtrack.model.packing import RecordTypes
+from graphtrack.model.terms.walls import StaysInside
 
 
 def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -179,39 +180,46 @@ class FrameProgram:
         self._known = {f.name: f"shared.{f.name}" for f in shared} | _GIVEN
         self._known |= {name: f"frame.{name}" for name in self._frame_names}
 
-    def source(self, *, of_presets: bool = False) -> str:
-        """The text of its functions; those of the presets' kernels are imported, or written too."""
+    def source(self, package: Iterable[Kernel] = ()) -> str:
+        """The text of its functions.
+
+        Parameters
+        ----------
+        package : kernels that are written too, for the package's own program; else kernels that it has are
+            imported from there
+        """
+        package = tuple(package)
         written = dict[str, None]()
-        for kernel in self.kernels:
-            if of_presets or not kernel.is_of_presets:
+        for kernel in (*self.kernels, *package):
+            if package or not kernel.is_of_package:
                 written[kernel.derived.source] = None
                 if kernel.is_tabulated:
                     written[kernel.derived.cost_source] = None
         imports = "from graphtrack.kernels.layout import BODY, HEAD, LINKS, OWN, Chain, Sums\n"
-        if not of_presets:
-            imports += "from graphtrack.model.program import *\n"
-        body = "\n\n\n".join([*written, self._frame() + self._cut() + self._costs()])
         listed = ""
-        if of_presets:
+        if package:
             listed = "\nFUNCTIONS = {\n"
-            for function in dict.fromkeys(kernel.function for kernel in self.kernels):
-                listed += (
-                    f'    "{function.__name__}": ("{function.__module__}", "{function.__qualname__}"),\n'
-                )
-            listed += (
-                '}\n"""The functions that kernels are derived from: name → module and qualified name."""\n'
-            )
+            for one in dict.fromkeys(kernel.function for kernel in (*self.kernels, *package)):
+                listed += f'    "{one.__name__}": ("{one.__module__}", "{one.__qualname__}"),\n'
+            listed += '}\n"""What kernels are derived from: name of a function → module, qualified name."""\n'
+        else:
+            imports += "from graphtrack.model.program import *\n"
+        frame = self._frame(bool(package)) + self._cut() + self._costs(bool(package))
+        body = "\n\n\n".join([*written, frame])
         return _TITLE.format(title=self._title) + HEADER + imports + "\n\n" + body + listed
 
-    def _call(self, line: str, kernel: Kernel, kind: str) -> str:
+    def _call(self, line: str, kernel: Kernel, kind: str, derives: bool) -> str:
         """A line with the call of a kernel's function at its ``{}``."""
-        function = kernel.derived.compiled(kind)
+        if derives:  # the package's own are about to be written
+            function = kernel.derived.compiled(kind)
+        else:
+            function = kernel.compiled if kind == "add" else kernel.cost
         given = kernel.arguments(function)
         for name in given:
             if name not in self._known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        call = f"{kind}_{kernel.derived.name}({', '.join(self._known[name] for name in given)})"
+        call = f"{kind}_{kernel.function.__name__}({', '.join(self._known[name] for name in given)})"
         line = line.format(call)
         space = " " * (len(line) - len(line.lstrip()))
         return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"
@@ -225,26 +233,26 @@ class FrameProgram:
             gate += f" and not frame.{kernel.unless} > 0.0"
         return f"{' ' * indent}if {gate}:\n"
 
-    def _frame(self) -> str:
+    def _frame(self, derives: bool) -> str:
         text = _FRAME
         for links in (True, False):
             text += "" if links else "    if part != LINKS:\n"
             for kernel in self.kernels:
                 if bool(kernel.before) is links:
                     text += self._opened(kernel, 8)
-                    text += self._call(" " * 12 + "cost += {}", kernel, "add")
+                    text += self._call(" " * 12 + "cost += {}", kernel, "add", derives)
         return text + "    return cost\n\n"
 
     def _cut(self) -> str:
         return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in self.links) + "\n"
 
-    def _costs(self) -> str:
+    def _costs(self, derives: bool) -> str:
         """Calls of the costs that the basin search tabulates."""
         text = _COSTS
         for kernel in self.kernels:
             if kernel.is_tabulated:
                 text += self._opened(kernel, 4)
-                text += self._call(f"        {kernel.orientation} += {{}}", kernel, "cost")
+                text += self._call(f"        {kernel.orientation} += {{}}", kernel, "cost", derives)
         return text + "    return body, head\n"
 
 
@@ -266,10 +274,10 @@ def _program_of(terms: tuple[Contribution, ...]) -> FrameProgram:
     if _parts(terms) <= _parts(_OF_PRESETS):
         return OF_PRESETS
     title = ", ".join(term.name for term in terms)
-    sources = [kernel.derived.source for term in terms for kernel in term.kernels if not kernel.is_of_presets]
     # The names of the record's fields distinguish the solver's machine code on disk.
-    name = f"program_{hashlib.sha256(repr((sources, terms)).encode()).hexdigest()[:16]}"
-    made = FrameProgram(terms, title, _OF_PRESETS, Field(name, "program of the record"))
+    text = FrameProgram(terms, title, _OF_PRESETS).source()
+    name = Field(f"program_{hashlib.sha256(text.encode()).hexdigest()[:16]}", "program of the record")
+    made = FrameProgram(terms, title, _OF_PRESETS, name)
     # Machine code on disk names the module of each function, which is imported when it is loaded.
     module: ModuleType = module_of("program", made.source())
     _FUNCTIONS[made.types.frame.names or ()] = module
@@ -281,6 +289,10 @@ def _parts(terms: Iterable[Contribution]) -> set[Hashable]:
     return {one for term in terms for one in (*term.fields, *term.shared, *term.kernels)}
 
 
+def package_source() -> str:
+    """The text of the package's program: the presets' terms, and the kernels of walls."""
+    return OF_PRESETS.source(StaysInside.kernels)
+
+
 if __name__ == "__main__":
-    text = OF_PRESETS.source(of_presets=True)
-    Path(__file__).with_name("program.py").write_text(text, encoding="utf-8")
+    Path(__file__).with_name("program.py").write_text(package_source(), encoding="utf-8")

@@ -62,13 +62,13 @@ class Kernel:
         return self._compiled("cost")
 
     @property
-    def is_of_presets(self) -> bool:
+    def is_of_package(self) -> bool:
         """True if the package has the compiled form."""
         function = self.function
         return program.FUNCTIONS.get(function.__name__) == (function.__module__, function.__qualname__)
 
     def _compiled(self, kind: str) -> Function:
-        if not self.is_of_presets:
+        if not self.is_of_package:
             return self.derived.compiled(kind)
         found: Function = getattr(program, f"{kind}_{self.function.__name__}")
         return found

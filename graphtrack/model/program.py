@@ -823,6 +823,27 @@ def add_anchor(angle_cos: Any, angle_sin: Any, exact: Any, number_kappa: Any, nu
 
 
 @compiled
+def add_wall(exact: Any, number_offset: Any, number_weight: Any, number_x: Any, number_y: Any, origin_x: Any, origin_y: Any, state: Any, sums: Any) -> float:
+    x = state[0] + origin_x
+    y = state[1] + origin_y
+    if not ((number_offset - number_x*x - number_y*y > 0)):
+        return 0.0
+    gradient = sums.gradient
+    hessian = sums.hessian
+    step_0 = math.sqrt(number_weight)
+    r0 = step_0*(number_offset - number_x*x - number_y*y)
+    j0_0 = -number_x*step_0
+    j0_1 = -number_y*step_0
+    cost = (1/2)*r0**2
+    gradient[0] += j0_0*r0
+    hessian[0, 0] += j0_0**2
+    gradient[1] += j0_1*r0
+    hessian[1, 0] += j0_0*j0_1
+    hessian[1, 1] += j0_1**2
+    return cost
+
+
+@compiled
 def add_frame(
     chain: Chain, k: int, states: Any, start: Any, exact: bool, part: int, turns: Any, sums: Sums
 ) -> float:
@@ -972,5 +993,6 @@ FUNCTIONS = {
     "faces_group": ("graphtrack.model.terms.conversation", "faces_group"),
     "persistence": ("graphtrack.model.terms.conversation", "persistence"),
     "anchor": ("graphtrack.model.terms.orientation", "anchor"),
+    "wall": ("graphtrack.model.terms.walls", "wall"),
 }
-"""The functions that kernels are derived from: name → module and qualified name."""
+"""What kernels are derived from: name of a function → module, qualified name."""

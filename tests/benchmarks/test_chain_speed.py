@@ -38,9 +38,9 @@ def walks(count: int, steps: int = STEPS) -> list[Track]:
     return [replace(different[k % len(different)], track_id=k) for k in range(count)]
 
 
-def ours(tracks: list[Track], model: Model) -> None:
+def ours(tracks: list[Track], model: Model, constants: str = "default") -> None:
     """From tracks to tracks, with covariances, as users have it."""
-    found = solve(TrackSet(tuple(tracks)), model, engine="chain")
+    found = solve(TrackSet(tuple(tracks)), model, engine="chain", constants=constants)
     assert all(isinstance(result, Solution) and result.converged for result in found)
 
 
@@ -85,14 +85,19 @@ def simdkalman_run(tracks: list[Track]) -> Callable[[], object]:
 
 
 @pytest.mark.parametrize(
-    ("preset", "name", "least"),
-    [("joint", "joint / simdkalman, linear", 2.0), ("position", "position / simdkalman", 8.0)],
+    ("preset", "constants", "name", "least"),
+    [
+        ("joint", "learn", "joint, learned / simdkalman, linear", 0.35),
+        ("joint", "default", "joint / simdkalman, linear", 1.0),
+        ("position", "default", "position / simdkalman", 6.0),
+    ],
 )
 def test_against_the_linear_smoother_of_simdkalman(
-    preset: str, name: str, least: float, record: Record
+    preset: str, constants: str, name: str, least: float, record: Record
 ) -> None:
     tracks, model, frames = walks(TRACKS), Model(preset), TRACKS * STEPS
-    race(record, name, (lambda: ours(tracks, model), frames), (simdkalman_run(tracks), frames), least)
+    mine = (lambda: ours(tracks, model, constants)), frames
+    race(record, name, mine, (simdkalman_run(tracks), frames), least)
 
 
 def filterpy_run(tracks: list[Track]) -> None:

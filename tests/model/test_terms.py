@@ -37,7 +37,7 @@ from graphtrack.model import (
     presets,
     program,
 )
-from graphtrack.model.generator import OF_PRESETS
+from graphtrack.model.generator import OF_PRESETS, package_source
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
 from graphtrack.model.packing import PackedTracks
@@ -465,8 +465,7 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = OF_PRESETS.source(of_presets=True)
-    assert Path(program.__file__).read_text(encoding="utf-8") == source
+    assert Path(program.__file__).read_text(encoding="utf-8") == package_source()
 
 
 @pytest.mark.parametrize("preset", presets)
