@@ -20,6 +20,7 @@ from graphtrack.kernels.layout import Function
 from graphtrack.model.costs import VARIABLES, Cost, CostFunction, FrameSymbols
 from graphtrack.packages import sympy
 
+_PACKAGE = "graphtrack.model.terms."
 _UNIT_VECTORS = ("body_sin", "head_sin", "angle_sin", "number_sin")
 _FIRST_ANGLE = VARIABLES.index("body")
 Shapes = Mapping[str, tuple[int, ...]]
@@ -30,7 +31,7 @@ class Derived:
 
     Attributes
     ----------
-    name : of the function
+    name : of the function, in the names of its kernels
     links : True if it has the previous frame
     numbers : names of its numbers
     inputs : name → size of its inputs
@@ -59,6 +60,11 @@ class Derived:
         self._relative = [axis for axis in "xy" if self._is_relative(axis)]
         if not self._variables:
             raise InputError(f"a term {self.name} of no variable", f"one of {', '.join(VARIABLES)}")
+        if not function.__module__.startswith(_PACKAGE):
+            # Functions of one name, or of the name of one of the package's, are different kernels.
+            cost = self._cost
+            text = repr([self._value(cost.residuals), cost.residuals, cost.least, cost.where, self.numbers])
+            self.name += f"_{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
     def _is_relative(self, axis: str) -> bool:
         """Return True if the cost depends only on differences of this coordinate, with a number of its name.

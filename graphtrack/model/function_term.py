@@ -11,7 +11,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.layout import Field, VariableName
-from graphtrack.model.costs import CostFunction
+from graphtrack.model.costs import VARIABLES, CostFunction
 from graphtrack.model.derivation import derived
 from graphtrack.model.kernel import Kernel
 from graphtrack.model.packing import PackedTracks
@@ -49,6 +49,8 @@ class FunctionTerm(Term):
         for name, value in numbers.items():
             if not (is_number(value) and math.isfinite(value)):
                 raise InputError(f"{name} = {value!r} of {self.label}", "a finite number")
+        if len(VARIABLES) in known.places(""):
+            raise InputError(f"now.angle in {self.label}", "now.body or now.head")
         prefix = f"own_{self.label}" + (f"_{place}" if place > 1 else "")
         self._gate = f"gate_of_{prefix}"  # unlike the names of numbers and inputs
         variables, before = (

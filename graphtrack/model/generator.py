@@ -219,7 +219,8 @@ class FrameProgram:
             if name not in self._known:
                 expected = "a field or a name of `Kernel`"
                 raise ValueError(f"found a kernel with the parameter {name!r}, expected {expected}")
-        call = f"{kind}_{kernel.function.__name__}({', '.join(self._known[name] for name in given)})"
+        called = getattr(function, "py_func", function).__name__
+        call = f"{called}({', '.join(self._known[name] for name in given)})"
         line = line.format(call)
         space = " " * (len(line) - len(line.lstrip()))
         return textwrap.fill(line, 110, subsequent_indent=space + "    ") + "\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +20,7 @@ from graphtrack.geometry.angles import difference
 from graphtrack.inference.chain.initialisation import initial_states
 from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.model.function_term import FunctionTerm
+from graphtrack.model.generator import program_of
 from graphtrack.model.observation import States
 
 
@@ -198,3 +200,38 @@ def test_a_cost_may_have_a_loss_and_a_condition() -> None:
     costs = [evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(8)]
     assert term.cost(states, track) == pytest.approx(expected.sum(), rel=1e-12)
     np.testing.assert_allclose(costs, expected, rtol=1e-12)
+
+
+def named(name: str, place: float) -> Any:
+    """A function of a given name."""
+
+    def cost(now: Any, std: float) -> Any:
+        return (now.x - place) / std
+
+    cost.__name__ = name
+    return cost
+
+
+def test_functions_of_one_name_are_different_terms() -> None:
+    """Also where the package has a cost function of that name."""
+    track = walk(6, seed=2)
+    terms = [gt.term(named("turning", place), std=0.5) for place in (0.0, 4.0)]
+    model = gt.Model("joint", terms=terms)
+    source = program_of(model).source()
+    assert len(set(re.findall(r"def (add_turning\w*)\(", source))) == 2
+    states = initial_states(track, gt.Model("joint"))
+    expected = [np.sum(0.5 * ((states.position[:, 0] - place) / 0.5) ** 2) for place in (0.0, 4.0)]
+    assert [one.cost(states, track) for one in model.terms[-2:]] == pytest.approx(expected)
+    graph, values = gt.graph_of(track, model)
+    plain = gt.graph_of(track, "joint")[0].error(values)
+    assert graph.error(values) - plain == pytest.approx(sum(expected), rel=1e-9)
+
+
+def test_an_angle_without_a_name_is_refused() -> None:
+    with pytest.raises(InputError, match=r"now\.body or now\.head"):
+        gt.term(lambda_angle)
+
+
+def lambda_angle(now: Any) -> Any:
+    """Of an angle that no kernel names."""
+    return gt.chord(1, now.angle)
