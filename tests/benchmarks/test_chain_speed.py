@@ -87,9 +87,9 @@ def simdkalman_run(tracks: list[Track]) -> Callable[[], object]:
 @pytest.mark.parametrize(
     ("preset", "constants", "name", "least"),
     [
-        ("joint", "learn", "joint, learned / simdkalman, linear", 0.35),
-        ("joint", "default", "joint / simdkalman, linear", 1.0),
-        ("position", "default", "position / simdkalman", 6.0),
+        ("joint", "learn", "joint, learned / simdkalman, linear", 0.5),
+        ("joint", "default", "joint / simdkalman, linear", 2.0),
+        ("position", "default", "position / simdkalman", 8.0),
     ],
 )
 def test_against_the_linear_smoother_of_simdkalman(
