@@ -94,17 +94,7 @@ def solve(
     work = prepare(tracks_of(tracks, scene=model.scene), model, solver, trust=trust, constants=constants)
     for line in work.notes:
         warnings.warn(line, InputWarning, stacklevel=2)
-    area = None if walkable is None else WalkableArea.of(walkable)
-    return solve_tracks(
-        work.observed,
-        work.model,
-        solver,
-        jobs=jobs,
-        options=options,
-        progress=progress,
-        walkable=area,
-        constants=constants,
-    )
+    return work.solve(jobs=jobs, options=options, progress=progress, walkable=walkable)
 
 
 class Prepared(NamedTuple):
@@ -116,6 +106,7 @@ class Prepared(NamedTuple):
     observed : the same with the noise that is believed
     model : with the noise that is believed
     notes : what was changed, and where the data contradict the declared noise
+    engine, constants : of the solution
     resample, origin : frames a second of the estimates, if they have other times, and where these begin
     """
 
@@ -123,8 +114,30 @@ class Prepared(NamedTuple):
     observed: TrackSet
     model: Model
     notes: tuple[str, ...]
+    engine: OfflineEngine
+    constants: Constants | None
     resample: float | None
     origin: float
+
+    def solve(
+        self,
+        *,
+        jobs: int | None = None,
+        options: SolverOptions | None = None,
+        progress: Progress | None = None,
+        walkable: AreaLike | None = None,
+    ) -> list[Solution | Failure]:
+        """Smooth every track; parameters as of `solve`."""
+        return solve_tracks(
+            self.observed,
+            self.model,
+            self.engine,
+            jobs=jobs,
+            options=options,
+            progress=progress,
+            walkable=None if walkable is None else WalkableArea.of(walkable),
+            constants=self.constants,
+        )
 
     def estimates(self, found: Iterable[Solution | Failure]) -> TrackSet:
         """Return the solutions' estimates at their times."""
@@ -161,7 +174,8 @@ def prepare(
         tracks = with_times_at(tracks, resample)
     make_smoothing_ready(model, engine, tracks.camera, constants, trust)
     observed, model, verdict = trusted(tracks, model, trust, constants)
-    return Prepared(tracks, observed, model, (*notes, *verdict), resample, origin)
+    notes = (*notes, *verdict)
+    return Prepared(tracks, observed, model, notes, engine, constants, resample, origin)
 
 
 def solve_tracks(
@@ -351,16 +365,7 @@ def smooth(
     )
     for line in work.notes:
         warnings.warn(line, InputWarning, stacklevel=2)
-    found = solve_tracks(
-        work.observed,
-        work.model,
-        solver,
-        jobs=jobs,
-        options=options,
-        progress=progress,
-        walkable=None if walkable is None else WalkableArea.of(walkable),
-        constants=constants,
-    )
+    found = work.solve(jobs=jobs, options=options, progress=progress, walkable=walkable)
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)

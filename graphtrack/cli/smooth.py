@@ -176,7 +176,7 @@ def smooth(
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
-    from graphtrack.smoothing import prepare, solve_tracks
+    from graphtrack.smoothing import prepare
     from graphtrack.tracks.gaps import LONGEST_FILLED
 
     chosen = Model.named(model)
@@ -219,15 +219,7 @@ def smooth(
     tracks, chosen = work.tracks, work.model
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve_tracks(
-            work.observed,
-            chosen,
-            solver,
-            jobs=jobs,
-            progress=advance,
-            walkable=area,
-            constants=constants,
-        )
+        found = work.solve(jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]

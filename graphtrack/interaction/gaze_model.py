@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.kernels.arithmetic import log_i0e
+from graphtrack.kernels.arithmetic import log_i0e, wrapped
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -101,12 +101,6 @@ class Beliefs(NamedTuple):
     target: IntArray  # (k,) ids of people near enough, ascending for each observer
     person: NDArray[np.void]  # (k,) of `BELIEF`, in these
     elsewhere: NDArray[np.void]  # (n, places + WAYS) of `BELIEF`
-
-
-@compiled
-def wrapped(angle: float) -> float:
-    """Wrap an angle to ±π."""
-    return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @compiled

@@ -243,7 +243,7 @@ def _stepwise(
     sums, exactly = sums or {}, {name: one for name, one in (exactly or {}).items() if one != 0}
     every = [_turned(one) for one in (*named.values(), *sums.values(), *exactly.values())]
     # Assigned in this order: each may read those before it.
-    own = {sympy.Symbol(name, real=True) for name in named} | {sympy.Symbol(name) for name in named}
+    own = {sympy.Symbol(name, real=True) for name in named}
     later = [k for k, one in enumerate(every) if one.free_symbols & own]
     steps, reduced = sympy.cse(
         [one for k, one in enumerate(every) if k not in later], sympy.numbered_symbols("step_")

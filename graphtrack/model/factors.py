@@ -105,13 +105,7 @@ class _Call:
 
 @lru_cache(maxsize=256)
 def _calls(kernels: tuple[Kernel, ...], packed: PackedTracks) -> list[_Call]:
-    record = packed.records[0]
-    names = record.dtype.names or ()
-    return [
-        _Call(kernel, packed)
-        for kernel in kernels
-        if record[kernel.gate] > 0.0 and not (kernel.unless in names and record[kernel.unless] > 0.0)
-    ]
+    return [_Call(kernel, packed) for kernel in kernels if kernel.acts(packed.records[:1])[0]]
 
 
 def _factor(call: _Call, live: Sequence[tuple[str, float]], step: Step) -> gtsam.NonlinearFactor:

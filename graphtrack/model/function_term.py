@@ -49,8 +49,8 @@ class FunctionTerm(Term):
         for name, value in numbers.items():
             if not (is_number(value) and math.isfinite(value)):
                 raise InputError(f"{name} = {value!r} of {self.label}", "a finite number")
-        if len(VARIABLES) in known.places(""):
-            raise InputError(f"now.angle in {self.label}", "now.body or now.head")
+        if any(len(VARIABLES) in known.places(end) for end in ("", "_before")):
+            raise InputError(f"angle of a frame in {self.label}", "now.body or now.head")
         prefix = f"own_{self.label}" + (f"_{place}" if place > 1 else "")
         self._gate = f"gate_of_{prefix}"  # unlike the names of numbers and inputs
         variables, before = (

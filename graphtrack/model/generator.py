@@ -210,10 +210,8 @@ class FrameProgram:
 
     def _call(self, line: str, kernel: Kernel, kind: str, derives: bool) -> str:
         """A line with the call of a kernel's function at its ``{}``."""
-        if derives:  # the package's own are about to be written
-            function = kernel.derived.compiled(kind)
-        else:
-            function = kernel.compiled if kind == "add" else kernel.cost
+        # The package's own are about to be written.
+        function = kernel.derived.compiled(kind) if derives else kernel.form(kind)
         given = kernel.arguments(function)
         for name in given:
             if name not in self._known:

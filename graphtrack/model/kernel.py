@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.layout import Function, VariableName
 from graphtrack.model import program
 from graphtrack.model.costs import VARIABLES, CostFunction
@@ -53,13 +54,8 @@ class Kernel:
 
     @cached_property
     def compiled(self) -> Function:
-        """The compiled form: of a preset's function in the package, else derived now."""
-        return self._compiled("add")
-
-    @cached_property
-    def cost(self) -> Function:
-        """The compiled cost alone."""
-        return self._compiled("cost")
+        """The compiled form."""
+        return self.form("add")
 
     @property
     def is_of_package(self) -> bool:
@@ -67,14 +63,15 @@ class Kernel:
         function = self.function
         return program.FUNCTIONS.get(function.__name__) == (function.__module__, function.__qualname__)
 
-    def _compiled(self, kind: str) -> Function:
+    def form(self, kind: str) -> Function:
+        """The compiled form, ``add``, or the ``cost`` alone: of the package, else derived now."""
         if not self.is_of_package:
             return self.derived.compiled(kind)
         found: Function = getattr(program, f"{kind}_{self.function.__name__}")
         return found
 
     def arguments(self, function: Function) -> tuple[str, ...]:
-        """The names of arguments of `compiled` or `cost`, in order: of fields, or as in the program."""
+        """The names of arguments of a `form`, in order: of fields, or as in the program."""
         parameters = inspect.signature(getattr(function, "py_func", function)).parameters
         return tuple(self._named(name) for name in parameters)
 
@@ -88,11 +85,15 @@ class Kernel:
             return parameter.replace("angle", self.angle, 1)
         return self.names.get(parameter, parameter)
 
+    def acts(self, records: NDArray[np.void]) -> BoolArray:
+        """Return in which of some records (n,) the cost counts."""
+        found = np.asarray(records[self.gate] > 0.0)
+        is_off = self.unless in (records.dtype.names or ()) and records[self.unless] > 0.0
+        return np.asarray(found & ~np.asarray(is_off))
+
     def total(self, packed: PackedTracks, states: FloatArray) -> float:
         """Return the cost of states (n, 6) in all frames of a packed track, by NumPy."""
-        acts = packed.records[self.gate] > 0.0
-        if self.unless in (packed.records.dtype.names or ()):
-            acts &= ~(packed.records[self.unless] > 0.0)
+        acts = self.acts(packed.records)
         if not acts.any():
             return 0.0
         symbols, density = self.derived.density

@@ -228,10 +228,16 @@ def test_functions_of_one_name_are_different_terms() -> None:
 
 
 def test_an_angle_without_a_name_is_refused() -> None:
-    with pytest.raises(InputError, match=r"now\.body or now\.head"):
-        gt.term(lambda_angle)
+    for function in (unnamed_angle, unnamed_angle_before):
+        with pytest.raises(InputError, match=r"now\.body or now\.head"):
+            gt.term(function)
 
 
-def lambda_angle(now: Any) -> Any:
+def unnamed_angle(now: Any) -> Any:
     """Of an angle that no kernel names."""
     return gt.chord(1, now.angle)
+
+
+def unnamed_angle_before(before: Any, now: Any) -> Any:
+    """The same in the previous frame."""
+    return gt.chord(1, now.body, before.angle)

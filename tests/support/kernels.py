@@ -25,13 +25,7 @@ def rows_of(states: States) -> np.ndarray:
 
 def called(term: Term, packed: PackedTracks, k: int) -> list[Kernel]:
     """The kernels that are called at a frame."""
-    record = packed.records[k]
-    names = record.dtype.names or ()
-    return [
-        kernel
-        for kernel in term.kernels
-        if record[kernel.gate] > 0.0 and not (kernel.unless in names and record[kernel.unless] > 0.0)
-    ]
+    return [kernel for kernel in term.kernels if kernel.acts(packed.records[k : k + 1])[0]]
 
 
 def empty_sums() -> tuple[Sums, np.ndarray, np.ndarray]:

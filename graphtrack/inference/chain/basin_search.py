@@ -51,10 +51,11 @@ def greatest_gain(chain: Chain, states: FloatArray, workspace: Workspace) -> flo
         across = head_sin * body_cos - head_cos * body_sin
         kappa = chain.problem.records[chain.problem.offsets[chain.track] + k].head_body_kappa
         turned, turning = close, across
-        b, c, d, e = body_cos, body_sin, head_cos, head_sin
         for q in range(4):
-            costs[0, q], costs[1, q] = orientation_costs(chain, k, states[k], b, c, d, e)
-            b, c, d, e = -c, b, -e, d
+            costs[0, q], costs[1, q] = orientation_costs(
+                chain, k, states[k], body_cos, body_sin, head_cos, head_sin
+            )
+            body_cos, body_sin, head_cos, head_sin = -body_sin, body_cos, -head_sin, head_cos
         for q in range(1, 4):
             turned, turning = -turning, turned
             unturned = turned if q == 2 else -turned
