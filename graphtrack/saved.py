@@ -33,7 +33,7 @@ def damaged(
 
 def real(value: Any) -> float:
     """Return a finite number of a saved state; TypeError for other values."""
-    if type(value) not in (int, float) or not math.isfinite(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
         raise TypeError(f"{str(value)[:40]!r} in place of a finite number")
     return float(value)
 

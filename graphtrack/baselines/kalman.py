@@ -96,7 +96,7 @@ class GaussianStates:
 
 def position_std(track: Track, parameters: Parameters) -> FloatArray:
     """1-σ (n,) of each axis of the observed positions, metres."""
-    return parameters.likelihood.position_stds(track.position_std, len(track))
+    return parameters.likelihood.position_stds(track.axis_std, len(track))
 
 
 def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates, GaussianStates]:

@@ -99,7 +99,7 @@ def is_in_image(track: Track, parameters: Parameters, camera: GroundCamera | Non
 def position_variance(track: Track, parameters: Parameters, camera: GroundCamera | None) -> FloatArray:
     """Return the variances (n,) of positions, m², the mean of both axes."""
     likelihood = parameters.likelihood
-    variance = likelihood.position_stds(track.position_std, len(track)) ** 2
+    variance = likelihood.position_stds(track.axis_std, len(track)) ** 2
     if camera is not None and track.pixel is not None and is_in_image(track, parameters, camera):
         squares = np.square(camera.ground_jacobian(track.pixel)).sum(axis=(1, 2))
         in_image = np.isfinite(squares)

@@ -280,7 +280,7 @@ def undeclared(tracks: TrackSet, model: Model) -> tuple[str, ...]:
 def _declares(track: Track, name: str, model: Model, camera: GroundCamera | None) -> bool:
     if name == "position" and is_in_image(track, model.parameters, camera):
         return False
-    spread = getattr(track, SPREADS[name])
+    spread = track.axis_std if name == "position" else getattr(track, SPREADS[name])
     by_class = getattr(track, f"{name}_likelihood", None) is not None
     return by_class or (spread is not None and bool(np.isfinite(spread).any()))
 

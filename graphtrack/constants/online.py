@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,13 +40,13 @@ from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike
 from graphtrack.inference.engines import OnlineEngine, PersonalConstants
-from graphtrack.inference.online import OnlineSolver
-from graphtrack.inference.state import Estimate, Status
+from graphtrack.inference.online import OnlineSolver, Snapshot
+from graphtrack.inference.state import Estimate, Status, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.same_time import SAME_TIME
+from graphtrack.model.same_time import APART, SAME_TIME, merged, news
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
@@ -118,7 +118,7 @@ class Learner:
         """Learn from an observation that is later than those before."""
         t, likelihood = observation.t, self._parameters.likelihood
         x, y = (math.nan, math.nan) if observation.position is None else observation.position
-        std = observation.position_std
+        std = observation.axis_std
         std = likelihood.position_std if std is None else likelihood.position_scale * std
         row = [0.0 if math.isnan(self._t) else t - self._t, x, y, std * std]
         row += _direction_of(observation, "body", self._parameters)
@@ -158,9 +158,10 @@ class Learner:
             self._filters.coupled[self._places, 4],
         )
 
-    def state(self) -> dict[str, Any]:
-        """The complete state as JSON-able data."""
-        return {"t": self._t if math.isfinite(self._t) else None, "numbers": packed(self._numbers)}
+    def state(self, *, before: bool = False) -> dict[str, Any]:
+        """The complete state as JSON-able data; that ``before`` the newest observation."""
+        numbers, t = self._before if before else (self._numbers, self._t)
+        return {"t": t if math.isfinite(t) else None, "numbers": packed(numbers)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`; an error of `DAMAGES` for other data."""
@@ -181,6 +182,13 @@ def _direction_of(observation: Observation, name: str, parameters: Parameters) -
     if kappa is None:
         return angle, getattr(likelihood, f"{name}_kappa")
     return angle, kappa / getattr(likelihood, f"{name}_scale") ** 2
+
+
+class Newest(NamedTuple):
+    """The observations of the newest time, of sensors with names, and the solvers' states before."""
+
+    parts: tuple[Observation, ...]
+    before: dict[int, Snapshot]
 
 
 class OnlineSmoother:
@@ -262,6 +270,7 @@ class OnlineSmoother:
         # Number of an alternative → its solver; without learned constants there is one.
         self._solvers = {k: OnlineSolver(chosen, **self._options) if n else first for n, k in enumerate(some)}
         self._last: Estimate | None = None
+        self._newest: Newest | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
@@ -336,7 +345,10 @@ class OnlineSmoother:
         given: list[Observation] = []
         own: list[OwnParameters | None] = []
         learned: list[bool] = []
+        again: list[bool] = []
         for smoother, observation in zip(smoothers, observations, strict=True):
+            observation, is_again = smoother._with_those_of_its_time(observation)
+            again.append(is_again)
             learned.append(smoother._learn(observation))
             for k, solver in smoother._solvers.items():
                 solvers.append(solver)
@@ -344,12 +356,61 @@ class OnlineSmoother:
                 own.append(None if smoother.learner is None else smoother.learner.own(k))
         found = iter(OnlineSolver.update_together(solvers, given, threads, own))
         answers: list[Estimate] = []
-        for smoother, is_new in zip(smoothers, learned, strict=True):
+        for smoother, is_new, is_again in zip(smoothers, learned, again, strict=True):
             estimates = [next(found) for _ in smoother._solvers]
             if smoother.learner is not None and is_new and all(one.status == "failed" for one in estimates):
                 smoother.learner.forget()
+            if is_again:
+                estimates = smoother._as_late(estimates)
             answers.append(smoother._combined(estimates))
         return answers
+
+    def _with_those_of_its_time(self, observation: Observation) -> tuple[Observation, bool]:
+        """Return an observation of a sensor with a name, or its product with the others of the newest time.
+
+        And whether it is such a product: the state is then that before these, so that estimates are those of
+        one observation with the information of all.
+        """
+        if not observation.sensor:
+            self._newest = None
+            return observation, False
+        newest = self._newest
+        if newest is not None and abs(observation.t - newest.parts[0].t) < SAME_TIME:
+            new = news(newest.parts, observation)
+            if new is None:
+                return observation, False
+            parts = (*newest.parts, new)
+            product = merged(parts, self._chosen.parameters.likelihood, self.camera)
+            if product is None:
+                observation = replace(new, t=newest.parts[0].t + APART)
+            else:
+                self._rewind(newest)
+                self._newest = newest._replace(parts=parts)
+                return product, True
+        window = self.window
+        if window is not None and observation.t <= window[1]:
+            self._newest = None
+        else:
+            self._newest = Newest((observation,), {k: one.snapshot() for k, one in self._solvers.items()})
+        return observation, False
+
+    def _as_late(self, estimates: list[Estimate]) -> list[Estimate]:
+        """Return the estimates of a product of observations as those after its last one."""
+        assert self._newest is not None
+        for solver, one in zip(self._solvers.values(), estimates, strict=True):
+            if one.status == "new":
+                solver.note_parts(self._newest.parts)
+        return [replace(one, status="late") if one.status == "new" else one for one in estimates]
+
+    def _rewind(self, newest: Newest) -> None:
+        """Return to the state before the observations of the newest time."""
+        if self.learner is not None:
+            self.learner.forget()
+        for k in newest.before.keys() - self._solvers.keys():
+            self._solvers[k] = OnlineSolver(self._chosen, **self._options)
+        self._solvers = {k: self._solvers[k] for k in newest.before}
+        for k, one in newest.before.items():
+            self._solvers[k].rewind(one)
 
     def _learn(self, observation: Observation) -> bool:
         """Learn from an observation, and solve the alternatives that are plausible; False if it is late."""
@@ -401,6 +462,7 @@ class OnlineSmoother:
 
         Returns the estimate at the latest time, or None, without a change, if the window has nothing older.
         """
+        self._newest = None
         found = [one.revise(since, observations) for one in self._solvers.values()]
         known = [one for one in found if one is not None]
         return self._combined(known) if len(known) == len(found) else None
@@ -411,14 +473,21 @@ class OnlineSmoother:
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
         """Return a function that computes the present `state` later."""
-        later = {k: one.later_state() for k, one in self._solvers.items()}
+        newest, again = self._newest, dict[str, Any]()
+        if newest is None:
+            later = {k: one.later_state() for k, one in self._solvers.items()}
+        else:
+            # Others of its time may come: the state before, and what to do again.
+            some = self._solvers[next(iter(self._solvers))]
+            later = {k: partial(some.packed, one) for k, one in newest.before.items()}
+            again = {"again": [pack_observation(one) for one in newest.parts]}
         if self.learner is None:
-            return later[0]
-        learned, prior = self.learner.state(), self.learner.prior.to_dict()
+            return lambda: later[0]() | again
+        learned, prior = self.learner.state(before=newest is not None), self.learner.prior.to_dict()
 
         def packed() -> dict[str, Any]:
             solvers = [[k, one()] for k, one in later.items()]
-            return {"learned": learned, "population": prior, "solvers": solvers}
+            return {"learned": learned, "population": prior, "solvers": solvers} | again
 
         return packed
 
@@ -463,6 +532,12 @@ class OnlineSmoother:
         lasts = [one.last for one in self._solvers.values()]
         if all(one is not None for one in lasts):
             self._combined([one for one in lasts if one is not None])
+        try:
+            parts = [unpack_observation(one) for one in state.get("again", ())]
+        except DAMAGES as error:
+            raise damaged(error) from error
+        for one in parts:
+            self.update_together([self], [one])
 
 
 def _kept(found: Estimate, before: Estimate | None) -> Estimate | None:

@@ -41,11 +41,12 @@ from graphtrack.constants.population import (
 from graphtrack.constants.prediction import Observed, leave_one_out
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
-from graphtrack.inference.engines import Failure, PersonalConstants, Solution
+from graphtrack.inference.engines import Failure, PersonalConstants, Solution, with_every_row
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import BODY, HEAD, N
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET, default_parameters
+from graphtrack.model.same_time import with_merged_rows
 from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.terms.motion import IntentionalMotion
 from graphtrack.tracks.track import Track, TrackSet
@@ -149,9 +150,13 @@ def solve_learned(
         return [], Population() if population is None else population
     learned_from = _middles(tracks, LEARNED, FEWEST_LEARNED)
     start = with_learned_noise(Population(), learned_from, model) if population is None else population
+    given = tracks
     names = undeclared(tracks, model)
     model = model.with_parameters(with_noise(model.parameters, names, start))
     persistent = persistent_of(start, names)
+    # Whether the loss will be robust is not known yet: contradictions are kept apart.
+    tracks, frames = with_merged_rows(given, with_robust_loss(model).parameters.likelihood)
+    learned_from = _middles(tracks, LEARNED, FEWEST_LEARNED)
     motion, shares = _motion(learned_from, model, start, persistent, population is not None)
     offset = offset_of(learned_from, model, persistent)
     noise = learned_stds(learned_from, model, names, offset)
@@ -171,7 +176,7 @@ def solve_learned(
             estimates = with_offset(one.track, offset, tracks.camera)
             one = replace(one, track=estimates, constants=constants)
         answers.append(one)
-    return answers, shares
+    return with_every_row(answers, given, frames), shares
 
 
 def _over_couplings(

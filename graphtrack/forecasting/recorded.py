@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 
 _NOT_READ: dict[str, Any] = {
-    **dict.fromkeys(("pixel", "body", "body_kappa", "body_likelihood", "head_likelihood")),
+    **dict.fromkeys(("pixel", "body", "body_kappa", "body_axis", "body_likelihood", "head_likelihood")),
+    **dict.fromkeys(("observed_velocity", "observed_velocity_covariance")),
     "inputs": {},
 }
 """Channels that forecasts do not read, and which may have no product at one time."""
@@ -97,19 +98,19 @@ _USED = ("t", "x", "y", "pos_std", "x_std", "y_std", "head_deg", "observed")
 """Columns that forecasts are made from."""
 
 
-def frames_of(tracks: TrackSet | list[Track]) -> Iterator[PeopleOfFrame]:
+def frames_of(tracks: Iterable[Track]) -> Iterator[PeopleOfFrame]:
     """Return the observed people, time by time; rows without a position are left out.
 
     Observations of one person at one time are merged, as smoothers do.
     """
     parts: list[tuple[FloatArray, ...]] = []
-    used = [replace(track, **_NOT_READ) for track in tracks]
-    for track in with_merged_rows(used, LikelihoodParameters(), None):
+    used = TrackSet(tuple(replace(track, **_NOT_READ) for track in tracks))
+    for track in with_merged_rows(used, LikelihoodParameters())[0]:
         has_position = np.isfinite(track.position).all(axis=1)
         if track.observed is not None:
             has_position &= ~(track.observed == 0.0)
         unknown = np.full(len(track), np.nan)
-        std = unknown if track.position_std is None else track.position_std
+        std = unknown if track.axis_std is None else track.axis_std
         if track.covariance is not None:
             columns = [STATE.index("x"), STATE.index("y")]
             std = np.sqrt(track.covariance[:, columns, columns].mean(axis=1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -39,9 +39,10 @@ from graphtrack.model import Model, Observation, Step
 from graphtrack.model.function_term import FunctionTerm
 from graphtrack.model.model import has_kernels
 from graphtrack.model.observation import chain, observations, seconds_between
+from graphtrack.model.same_time import of_every_row
 from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.tracks.display import counted, html_pairs
-from graphtrack.tracks.track import Track
+from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count, is_number
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
@@ -217,6 +218,18 @@ class Failure:
 
     track_id: int
     reason: str
+
+
+def with_every_row(
+    found: Sequence[Solution | Failure], tracks: TrackSet, frames: Mapping[int, NDArray[np.int64]]
+) -> list[Solution | Failure]:
+    """Return solutions of the frames of `with_merged_rows` as those of all rows of the tracks."""
+    answers: list[Solution | Failure] = []
+    for one, track in zip(found, tracks, strict=True):
+        if isinstance(one, Solution) and track.track_id in frames:
+            one = replace(one, track=of_every_row(one.track, track, frames[track.track_id]))
+        answers.append(one)
+    return answers
 
 
 def estimated_tracks(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphtrack.errors import NO_POSITION, InputError, SolveError
+from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.batch import solve_packed
@@ -27,11 +25,12 @@ from graphtrack.inference.engines import (
     lost_by_rounding,
     make_solver_ready,
     not_finite,
+    with_every_row,
 )
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.same_time import merged_rows, of_every_row
+from graphtrack.model.same_time import with_merged_rows
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_count
 
@@ -59,31 +58,10 @@ def solve_each(
     """
     if jobs is not None:
         check_count("jobs", jobs)
-    rows: dict[int, NDArray[np.int64]] = {}  # number of a track → the frame of each of its rows
-    refused: dict[int, Failure] = {}
-    given: list[Track] = []
-    places: list[int] = []
-    for m, track in enumerate(tracks):
-        try:
-            found = merged_rows(track, model.parameters.likelihood, tracks.camera)
-        except InputError as error:
-            refused[m] = Failure(track.track_id, str(error))
-            continue
-        if found is not None:
-            track, rows[m] = found
-        given.append(track)
-        places.append(m)
     options = SolverOptions() if options is None else options
-    frames = tracks.with_tracks(given)
-    own = _of_some(personal, places)
-    solved = iter(_solve_frames(frames, model, engine, jobs, options, progress, own))
-    answers: list[Solution | Failure] = []
-    for m, track in enumerate(tracks):
-        one = refused[m] if m in refused else next(solved)
-        if m in rows and isinstance(one, Solution):
-            one = replace(one, track=of_every_row(one.track, track, rows[m]))
-        answers.append(one)
-    return answers
+    merged, frames = with_merged_rows(tracks, model.parameters.likelihood)
+    found = _solve_frames(merged, model, engine, jobs, options, progress, personal or {})
+    return with_every_row(found, tracks, frames)
 
 
 def _solve_frames(

@@ -12,8 +12,9 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -51,13 +52,20 @@ from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
 from graphtrack.model.observation import OwnParameters, differs, seconds_between
-from graphtrack.model.same_time import SAME_TIME, merged, news
+from graphtrack.model.same_time import APART, SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.validation import check_count, is_number
 
 Parts = tuple[Observation, ...]
 """Observations of one time that are merged in a step."""
+
+
+class Snapshot(NamedTuple):
+    """State of a solver, and the observations that are merged in its steps."""
+
+    saved: SavedState
+    parts: dict[int, Parts]
 
 
 def worked_in(window: Window, template: Step, place: int, inserted: bool) -> Window:
@@ -271,12 +279,15 @@ class OnlineSolver:
         try:
             if any(one.t >= since for one in parts.get(steps[-1].index, ())):
                 kept = tuple(one for one in parts.pop(steps[-1].index) if one.t < since)
-                steps[-1] = self._with_parts(steps[-1], kept, parts)
+                steps[-1] = self._with_parts(steps[-1], kept, parts) or steps[-1]
             for observation in _with_walls([self] * len(usable), usable):
                 if observation.t - steps[-1].observation.t < SAME_TIME:
                     both = (*parts.get(steps[-1].index, (steps[-1].observation,)), observation)
-                    steps[-1] = self._with_parts(steps[-1], both, parts)
-                    continue
+                    product = self._with_parts(steps[-1], both, parts)
+                    if product is not None:
+                        steps[-1] = product
+                        continue
+                    observation = replace(observation, t=steps[-1].observation.t + APART)
                 previous = steps[-1].alone()
                 dt = seconds_between(previous, observation)
                 steps.append(
@@ -311,11 +322,16 @@ class OnlineSolver:
         except FAILURES as error:
             self._failed(steps[-1].observation, error)
 
-    def _with_parts(self, step: Step, observations: Parts, parts: dict[int, Parts]) -> Step:
-        """Return a step with the product of some observations of its time, which are noted in ``parts``."""
+    def _with_parts(self, step: Step, observations: Parts, parts: dict[int, Parts]) -> Step | None:
+        """Return a step with the product of some observations of its time, which are noted in ``parts``.
+
+        None: there is no such product
+        """
+        one = merged(observations, self.model.parameters.likelihood, self.camera)
+        if one is None:
+            return None
         if len(observations) > 1:
             parts[step.index] = observations
-        one = merged(observations, self.model.parameters.likelihood, self.camera)
         return replace(step, observation=one)
 
     @property
@@ -340,15 +356,29 @@ class OnlineSolver:
 
     def later_state(self) -> Callable[[], dict[str, Any]]:
         """Return a function that computes the present `state` later."""
+        return partial(self.packed, self.snapshot())
+
+    def snapshot(self) -> Snapshot:
+        """The present state, to `rewind` to."""
         smoother = self._smoother
         saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
-        parts = list(self._parts.items())
+        return Snapshot(saved, dict(self._parts))
 
-        def packed() -> dict[str, Any]:
-            merged_in = [[index, [pack_observation(one) for one in some]] for index, some in parts]
-            return pack_state(saved) | {"terms": self._terms()} | ({"merged": merged_in} if parts else {})
+    def rewind(self, snapshot: Snapshot) -> None:
+        """Return to a state; to the last bit with chain and fixed-lag, else within their tolerances."""
+        saved, parts = snapshot
+        self._last, self._next_index, self._parts = saved.last, saved.next_index, dict(parts)
+        self._smoother.resume(saved.window, saved.arrays)
 
-        return packed
+    def packed(self, snapshot: Snapshot) -> dict[str, Any]:
+        """A snapshot as the `state` of that moment."""
+        saved, parts = snapshot
+        merged_in = [[index, [pack_observation(one) for one in some]] for index, some in parts.items()]
+        return pack_state(saved) | {"terms": self._terms()} | ({"merged": merged_in} if parts else {})
+
+    def note_parts(self, observations: Parts) -> None:
+        """Note the observations whose product the newest step has."""
+        self._parts[self._smoother.steps[-1].index] = observations
 
     @classmethod
     def from_state(
@@ -429,7 +459,11 @@ class OnlineSolver:
                 new = news(known, observation)
                 if new is None:
                     return self.unchanged(observation, "duplicate")
-                template = self._with_parts(same, (*known, new), parts)
+                product = self._with_parts(same, (*known, new), parts)
+                if product is None:
+                    # A step of its own, soon after.
+                    return self._take(replace(new, t=_free(times, same.observation.t)), near_by.own)
+                template = product
             window = self._smoother.window()
             newest = self._smoother.rework(worked_in(window, template, place, inserted))
         except FAILURES as error:
@@ -480,6 +514,15 @@ class OnlineSolver:
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)
+
+
+def _free(times: Sequence[float], t: float) -> float:
+    """Return a time from `APART` after ``t`` on that is not at one of some increasing times."""
+    t += APART
+    for one in times:
+        if abs(one - t) < SAME_TIME:
+            t = one + APART
+    return t
 
 
 def _with_walls(

@@ -16,18 +16,32 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import CHANNELS, OwnParameters
+from graphtrack.model.observation import CHANNELS, Covariance, OwnParameters
 from graphtrack.model.terms.motion import LARGEST_ROUNDING, rounding
 from graphtrack.packages import gtsam
 from graphtrack.saved import DAMAGES, check_numbers, damaged, integer, pack_tree, real, unpack_tree
 from graphtrack.tracks.display import html_pairs
-from graphtrack.tracks.schema import INPUT_NAME, is_input_name
+from graphtrack.tracks.schema import INPUT_NAME, LARGEST_CORRELATION, is_input_name
 from graphtrack.tracks.time import TIME_TOLERANCE
-from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
-from graphtrack.tracks.validation import FIELDS, FINITE, LARGEST_SECONDS, Bounds, real_numbers
+from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import (
+    FIELDS,
+    FINITE,
+    LARGEST_SECONDS,
+    SENSOR_NAME,
+    SHAPES,
+    Bounds,
+    is_sensor_name,
+    real_numbers,
+)
 
-_SIZES = {"position": 2, "pixel": 2, "body_likelihood": BODY_CLASSES, "head_likelihood": HEAD_CLASSES}
-_CHECKS = tuple((name, FIELDS[name].low, FIELDS[name].high, _SIZES.get(name, 0)) for name in CHANNELS)
+_COVARIANCES = tuple(name for name in CHANNELS if len(SHAPES[name]) == 2)
+_SIZES = {name: SHAPES[name][0] for name in CHANNELS if SHAPES[name]}
+_CHECKS = tuple(
+    (name, FIELDS[name].low, FIELDS[name].high, _SIZES.get(name, 0))
+    for name in CHANNELS
+    if name not in _COVARIANCES
+)
 
 
 def checked(observation: Observation) -> Observation:
@@ -43,6 +57,12 @@ def checked(observation: Observation) -> Observation:
         raise InputError(found, "an Observation; its channels are None where nothing was observed")
     if observation.inputs:
         observation = replace(observation, inputs=_checked_inputs(observation.inputs))
+    if observation.sensor and not is_sensor_name(observation.sensor):
+        raise InputError(f"sensor = {_shown(observation.sensor)}", SENSOR_NAME)
+    given: dict[str, Any] = {name: getattr(observation, name) for name in _COVARIANCES}
+    if any(one is not None for one in given.values()):
+        given = {name: _checked_covariance(name, one) for name, one in given.items() if one is not None}
+        observation = replace(observation, **given)
     return observation if _is_valid(observation) else _repaired(observation)
 
 
@@ -57,6 +77,17 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float,
             raise InputError(f"input {name} = {_shown(value)}", expected)
         found[name] = tuple(numbers.tolist()) if numbers.ndim else float(numbers)
     return found
+
+
+def _checked_covariance(name: str, value: object) -> Covariance:
+    """Return a covariance as tuples; InputError unless it is positive definite."""
+    numbers = _numbers(value)
+    if numbers is not None and numbers.shape == (2, 2) and not _is_outside(numbers, FIELDS[name]):
+        (xx, xy), (yx, yy) = numbers.tolist()
+        alike = math.isclose(xy, yx, abs_tol=1e-12 * (xx + yy))
+        if alike and xx > 0.0 and yy > 0.0 and abs(xy) <= LARGEST_CORRELATION * math.sqrt(xx * yy):
+            return ((xx, xy), (xy, yy))
+    raise InputError(f"{name} = {_shown(value)}", "a 2 × 2 matrix, positive definite, or None")
 
 
 def _numbers(value: object) -> FloatArray | None:
@@ -95,7 +126,7 @@ def _is_valid(observation: Observation) -> bool:
 
 def _repaired(observation: Observation) -> Observation:
     changed: dict[str, Any] = {}
-    for name in ("t", *CHANNELS):
+    for name in ("t", *(name for name, *_ in _CHECKS)):
         value, bounds, size = getattr(observation, name), FIELDS[name], _SIZES.get(name, 0)
         if value is None and name != "t":
             continue
@@ -189,7 +220,7 @@ def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     return found
 
 
-STATE_VERSION = 8
+STATE_VERSION = 9
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """Errors of a smoother for an observation that it cannot use."""
@@ -392,7 +423,7 @@ def pack_state(saved: SavedState) -> dict[str, Any]:
 
 def pack_observation(observation: Observation) -> dict[str, Any]:
     """An observation as JSON-able data."""
-    return {name: value for name, value in vars(observation).items() if value is not None and value != {}}
+    return {name: value for name, value in vars(observation).items() if value not in (None, "", {})}
 
 
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:

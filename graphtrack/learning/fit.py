@@ -137,7 +137,7 @@ def fit(
     check_within(0.0, 0.9, hold_out=hold_out)
     tracks = tracks_of(tracks, scene=model.scene)
     tracks = tracks.map(with_position_noise)
-    tracks = tracks.with_tracks(with_merged_rows(tracks, model.parameters.likelihood, tracks.camera))
+    tracks, _ = with_merged_rows(tracks, model.parameters.likelihood)
     usable = [one for one in tracks if len(one) > 1 and np.isfinite(one.position).any() and one.has_truth]
     if not usable:
         raise InputError(

@@ -17,11 +17,15 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.packages import gtsam
 from graphtrack.tracks.track import Track
 
+Covariance = tuple[tuple[float, ...], ...]
+"""Rows of a symmetric matrix."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """Observations of one person at one time. ``None`` is a missing channel; units as in `Track`.
 
+    ``sensor`` is the name of the sensor, "" without one. A covariance is a 2 × 2 matrix.
     ``inputs`` has further known values: name → a number or a tuple of numbers. Missing inputs are left out.
     """
 
@@ -37,17 +41,34 @@ class Observation:
     body_likelihood: tuple[float, ...] | None = None
     head_likelihood: tuple[float, ...] | None = None
     score: float | None = None
+    position_covariance: Covariance | None = None
+    observed_velocity: tuple[float, float] | None = None
+    observed_velocity_covariance: Covariance | None = None
+    body_axis: float | None = None
+    body_axis_kappa: float | None = None
+    sensor: str = ""
     inputs: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
 
+    @property
+    def axis_std(self) -> float | None:
+        """1-σ of each axis of the position, metres: of an ellipse by the mean variance."""
+        if self.position_covariance is None:
+            return self.position_std
+        (xx, _), (_, yy) = self.position_covariance
+        return math.sqrt(0.5 * (xx + yy))
 
-CHANNELS = tuple(name for name in Observation.__dataclass_fields__ if name not in ("t", "frame", "inputs"))
+
+CHANNELS = tuple(
+    name for name in Observation.__dataclass_fields__ if name not in ("t", "frame", "sensor", "inputs")
+)
 
 
 def observations(track: Track) -> Iterator[Observation]:
     """The observations of a track, frame by frame."""
     channels = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
     for k in range(len(track)):
-        yield observation_at(k, float(track.t[k]), int(track.frame[k]), channels, track.inputs)
+        sensor = "" if track.sensor is None else str(track.sensor[k])
+        yield observation_at(k, float(track.t[k]), int(track.frame[k]), channels, track.inputs, sensor)
 
 
 def observation_at(
@@ -56,12 +77,13 @@ def observation_at(
     frame: int,
     channels: Mapping[str, FloatArray],
     inputs: Mapping[str, FloatArray] = MappingProxyType({}),
+    sensor: str = "",
 ) -> Observation:
     """Return row k of channels (n, …) as an observation; NaN is a missing value."""
     given: dict[str, Any] = _present(channels, k)
     if inputs:
         given["inputs"] = _present(inputs, k)
-    return Observation(t=t, frame=frame, **given)
+    return Observation(t=t, frame=frame, sensor=sensor, **given)
 
 
 def _present(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
@@ -71,7 +93,8 @@ def _present(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
         value = values[k]
         if isinstance(value, np.ndarray):
             if np.isfinite(value).all():
-                present[name] = tuple(value.tolist())
+                rows = value.tolist()
+                present[name] = tuple(map(tuple, rows)) if value.ndim > 1 else tuple(rows)
         elif math.isfinite(value):
             present[name] = float(value)
     return present
@@ -143,9 +166,10 @@ class Step:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Return True if an observation can have several modes, as class likelihoods do."""
+        """Return True if an observation can have several modes, as class likelihoods and axes do."""
         present = self.observation
-        return present.body_likelihood is not None or present.head_likelihood is not None
+        several = (present.body_likelihood, present.head_likelihood, present.body_axis)
+        return any(one is not None for one in several)
 
     @cached_property
     def position_key(self) -> int:

@@ -119,12 +119,14 @@ class LikelihoodParameters(_Group):
     Attributes
     ----------
     position_std : 1-σ of each axis of a position without a declared one, m
+    velocity_std : 1-σ of each axis of an observed velocity without a declared one, m/s
     pixel_std : 1-σ of each axis of the foot point in the image, pixels
     image_frame : judge positions in the image (Chen et al. 2011, eq. 12) where the track has pixels and a
         camera
     robust : loss of positions: "none" (square), "huber" or "cauchy"
     robust_threshold : threshold k of the loss, standard deviations
-    body_kappa, head_kappa : von Mises concentration of an observed angle without a declared one
+    body_kappa, head_kappa : von Mises concentration of an observed angle without a declared one, and of an
+        axis of the body about either end
     position_scale : multiple of the declared 1-σ of positions
     body_scale, head_scale : multiple of the declared 1-σ of angles; κ is divided by its square
     outlier_probability : outlier share ε of observed angles
@@ -132,6 +134,7 @@ class LikelihoodParameters(_Group):
     """
 
     position_std: float = _number(0.1, 1e-6, 100.0, "m")
+    velocity_std: float = _number(0.3, 1e-6, 100.0, "m/s", learned=False)
     pixel_std: float = _number(3.0, 1e-3, 1e4, "pixels")
     image_frame: bool = True
     robust: Robust = "none"

@@ -189,6 +189,59 @@ def add_observed_pixel(exact: Any, number_information: Any, number_robust: Any, 
 
 
 @compiled
+def add_observed_ellipse(exact: Any, number_robust: Any, number_robust_threshold: Any, number_root_xx: Any, number_root_xy: Any, number_root_yy: Any, number_x: Any, number_y: Any, origin_x: Any, origin_y: Any, state: Any, sums: Any) -> float:
+    x = state[0]
+    y = state[1]
+    number_x = number_x - origin_x
+    number_y = number_y - origin_y
+    gradient = sums.gradient
+    hessian = sums.hessian
+    step_0 = -number_y + y
+    r0 = number_root_xx*(-number_x + x) + number_root_xy*step_0
+    r1 = number_root_yy*step_0
+    j0_0 = number_root_xx
+    j0_1 = number_root_xy
+    j1_1 = number_root_yy
+    half = (1/2)*r0**2 + (1/2)*r1**2
+    weight = ((1/(2*half/number_robust_threshold**2 + 1)) if (number_robust > 1.5) else ((((1/2)*math.sqrt(2)*number_robust_threshold/math.sqrt(half)) if (half > (1/2)*number_robust_threshold**2) else (1))) if (number_robust > 0.5) else (1))
+    bend = ((-2/(number_robust_threshold**2*(2*half/number_robust_threshold**2 + 1)**2)) if (number_robust > 1.5) else (((-1/4*math.sqrt(2)*number_robust_threshold/math.sqrt(half)**(3)) if (half > (1/2)*number_robust_threshold**2) else (0))) if (number_robust > 0.5) else (0))
+    pull0 = j0_0*r0
+    pull1 = j0_1*r0 + j1_1*r1
+    cost = (((1/2)*number_robust_threshold**2*math.log(2*half/number_robust_threshold**2 + 1)) if (number_robust > 1.5) else (((math.sqrt(2)*math.sqrt(half)*number_robust_threshold - 1/2*number_robust_threshold**2) if (half > (1/2)*number_robust_threshold**2) else (half))) if (number_robust > 0.5) else (half))
+    gradient[0] += pull0*weight
+    hessian[0, 0] += j0_0**2*weight
+    gradient[1] += pull1*weight
+    hessian[1, 0] += j0_0*j0_1*weight
+    hessian[1, 1] += weight*(j0_1**2 + j1_1**2)
+    if exact:
+        hessian[0, 0] += bend*pull0**2
+        hessian[1, 0] += bend*pull0*pull1
+        hessian[1, 1] += bend*pull1**2
+    return cost
+
+
+@compiled
+def add_observed_velocity(exact: Any, number_root_xx: Any, number_root_xy: Any, number_root_yy: Any, number_vx: Any, number_vy: Any, state: Any, sums: Any) -> float:
+    vx = state[2]
+    vy = state[3]
+    gradient = sums.gradient
+    hessian = sums.hessian
+    step_0 = -number_vy + vy
+    r0 = number_root_xx*(-number_vx + vx) + number_root_xy*step_0
+    r1 = number_root_yy*step_0
+    j0_0 = number_root_xx
+    j0_1 = number_root_xy
+    j1_1 = number_root_yy
+    cost = (1/2)*r0**2 + (1/2)*r1**2
+    gradient[2] += j0_0*r0
+    hessian[2, 2] += j0_0**2
+    gradient[3] += j0_1*r0 + j1_1*r1
+    hessian[3, 2] += j0_0*j0_1
+    hessian[3, 3] += j0_1**2 + j1_1**2
+    return cost
+
+
+@compiled
 def add_turning(angle_cos: Any, angle_cos_before: Any, angle_sin: Any, angle_sin_before: Any, exact: Any, number_kappa: Any, place: Any, sums: Any) -> float:
     gradient = sums.gradient
     gradient_before = sums.gradient_before
@@ -326,6 +379,28 @@ def cost_observed_classes_8(angle_cos: Any, angle_sin: Any, number_heights: Any,
     step_2 = angle_sin*step_0
     step_3 = step_1 + step_2
     cost = 2*number_kappa - math.log(number_heights[0]*math.exp(number_kappa*(angle_cos - 1)) + number_heights[1]*math.exp(number_kappa*(step_3 - 1)) + number_heights[2]*math.exp(number_kappa*(angle_sin - 1)) + number_heights[3]*math.exp(number_kappa*(-step_1 + step_2 - 1)) + number_heights[4]*math.exp(number_kappa*(-angle_cos - 1)) + number_heights[5]*math.exp(number_kappa*(-step_3 - 1)) + number_heights[6]*math.exp(number_kappa*(-angle_sin - 1)) + number_heights[7]*math.exp(number_kappa*(step_1 - step_2 - 1)) + number_heights[8])
+    return cost
+
+
+@compiled
+def add_observed_axis(angle_cos: Any, angle_sin: Any, exact: Any, number_cos: Any, number_kappa: Any, number_sin: Any, place: Any, sums: Any) -> float:
+    gradient = sums.gradient
+    hessian = sums.hessian
+    step_0 = angle_cos*angle_sin
+    step_1 = angle_cos**2
+    step_2 = 2*number_cos*step_1 - number_cos + 2*number_sin*step_0 - 1
+    cost = -1/4*number_kappa*step_2
+    gradient[place] += number_kappa*(number_cos*step_0 - number_sin*step_1 + (1/2)*number_sin)
+    hessian[place, place] += number_kappa
+    if exact:
+        hessian[place, place] += number_kappa*step_2
+    return cost
+
+
+@compiled
+def cost_observed_axis(angle_cos: Any, angle_sin: Any, number_cos: Any, number_kappa: Any, number_sin: Any) -> float:
+    step_0 = (1/8)*number_kappa
+    cost = step_0*(2*angle_cos*angle_sin - number_sin)**2 + step_0*(angle_cos**2 - angle_sin**2 - number_cos)**2
     return cost
 
 
@@ -886,7 +961,7 @@ def add_frame(
     if part != LINKS:
         if frame.velocity_information > 0.0:
             cost += add_first_velocity(exact, frame.velocity_information, state, sums)
-        if frame.position_information > 0.0 and not frame.pixel_information > 0.0:
+        if frame.position_information > 0.0 and not frame.position_replaced > 0.0:
             cost += add_observed_position(exact, frame.position_information, shared.robust,
                 shared.robust_threshold, frame.x, frame.y, problem.origin[chain.track, 0],
                 problem.origin[chain.track, 1], state, sums)
@@ -894,6 +969,13 @@ def add_frame(
             cost += add_observed_pixel(exact, frame.pixel_information, shared.robust, shared.robust_threshold,
                 shared.to_image, frame.u, frame.v, problem.origin[chain.track, 0], problem.origin[chain.track,
                 1], state, sums)
+        if frame.ellipse_xx > 0.0:
+            cost += add_observed_ellipse(exact, shared.robust, shared.robust_threshold, frame.ellipse_xx,
+                frame.ellipse_xy, frame.ellipse_yy, frame.x, frame.y, problem.origin[chain.track, 0],
+                problem.origin[chain.track, 1], state, sums)
+        if frame.velocity_xx > 0.0:
+            cost += add_observed_velocity(exact, frame.velocity_xx, frame.velocity_xy, frame.velocity_yy,
+                frame.observed_vx, frame.observed_vy, state, sums)
         if frame.body_kappa > 0.0 and not frame.body_uniform > 0.0:
             cost += add_observed_angle(body_cos, body_sin, exact, frame.observed_body_cos, frame.body_kappa,
                 frame.observed_body_sin, at_body, sums)
@@ -903,6 +985,9 @@ def add_frame(
         if frame.body_class_kappa > 0.0:
             cost += add_observed_classes_8(body_cos, body_sin, exact, problem.body_heights[row],
                 frame.body_class_kappa, at_body, sums)
+        if frame.body_axis_kappa > 0.0:
+            cost += add_observed_axis(body_cos, body_sin, exact, frame.body_axis_cos, frame.body_axis_kappa,
+                frame.body_axis_sin, at_body, sums)
         if frame.head_kappa > 0.0 and not frame.head_uniform > 0.0:
             cost += add_observed_angle(head_cos, head_sin, exact, frame.observed_head_cos, frame.head_kappa,
                 frame.observed_head_sin, at_head, sums)
@@ -957,6 +1042,9 @@ def orientation_costs(
             frame.observed_body_sin, frame.body_uniform)
     if frame.body_class_kappa > 0.0:
         body += cost_observed_classes_8(body_cos, body_sin, problem.body_heights[row], frame.body_class_kappa)
+    if frame.body_axis_kappa > 0.0:
+        body += cost_observed_axis(body_cos, body_sin, frame.body_axis_cos, frame.body_axis_kappa,
+            frame.body_axis_sin)
     if frame.head_kappa > 0.0 and not frame.head_uniform > 0.0:
         head += cost_observed_angle(head_cos, head_sin, frame.observed_head_cos, frame.head_kappa,
             frame.observed_head_sin)
@@ -982,10 +1070,13 @@ FUNCTIONS = {
     "first_velocity": ("graphtrack.model.terms.motion", "first_velocity"),
     "observed_position": ("graphtrack.model.terms.position", "observed_position"),
     "observed_pixel": ("graphtrack.model.terms.position", "observed_pixel"),
+    "observed_ellipse": ("graphtrack.model.terms.position", "observed_ellipse"),
+    "observed_velocity": ("graphtrack.model.terms.position", "observed_velocity"),
     "turning": ("graphtrack.model.terms.orientation", "turning"),
     "observed_angle": ("graphtrack.model.terms.orientation", "observed_angle"),
     "doubtful_angle": ("graphtrack.model.terms.orientation", "doubtful_angle"),
     "observed_classes_8": ("graphtrack.model.terms.orientation", "observed_classes_8"),
+    "observed_axis": ("graphtrack.model.terms.orientation", "observed_axis"),
     "observed_classes_12": ("graphtrack.model.terms.orientation", "observed_classes_12"),
     "body_follows_motion": ("graphtrack.model.terms.couplings", "body_follows_motion"),
     "head_follows_body": ("graphtrack.model.terms.couplings", "head_follows_body"),

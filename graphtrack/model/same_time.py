@@ -3,27 +3,29 @@
 White-noise acceleration ties the positions of two frames with the information 12/(q·Δt³). Where frames are
 close, it hides the information of observations, 1/σ², from the 16 digits of a double (`motion.rounding`).
 So rows nearer than `SAME_TIME` are one frame of the model. Within that time a pedestrian moves by 1 mm.
+
+Where the product is none of the model's likelihoods, the later observation is a frame `APART` later:
+positions or angles that contradict each other, where gross errors are expected; two pixels that are judged in
+the image; an angle and class likelihoods; classes that exclude each other; two values of an input.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.observation import CHANNELS, Observation, observation_at
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.terms.conversation import GROUP
-from graphtrack.model.terms.position import robust_weights
 from graphtrack.model.terms.walls import WALL_INPUT
-from graphtrack.tracks.track import Track
+from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import APPEARANCE, LARGEST_CONCENTRATION, SHAPES
 
 SAME_TIME = 5e-4
@@ -32,10 +34,15 @@ SAME_TIME = 5e-4
 With q from 0.01 to 10 m²/s³ and σ from 5 mm to 1 m, the worst rounding error of estimates of frames that are
 this far apart is 2 % of their σ, and of their variance 0.06 %. Both grow with Δt⁻³."""
 
+APART = 2.0 * SAME_TIME
+"""Seconds from one time to the frame of an observation that has no product with those of that time."""
+
 _MEASURED = (
-    ("position", "position_std"),
+    ("position", "position_std", "position_covariance"),
     ("pixel",),
+    ("observed_velocity", "observed_velocity_covariance"),
     ("body", "body_kappa"),
+    ("body_axis", "body_axis_kappa"),
     ("head", "head_kappa"),
     ("body_likelihood",),
     ("head_likelihood",),
@@ -45,10 +52,9 @@ _MEASURED = (
 _OF_ENGINES = (WALL_INPUT, GROUP, APPEARANCE)
 """Inputs that an engine sets for each row, or that no term reads: of one time the first is kept."""
 
-_REWEIGHTED = 50
-"""Steps of iteratively reweighted least squares."""
-
 _Orientation = Literal["body", "head"]
+_Channels = dict[str, Any] | None
+"""Some channels of a product; None: it is none of the model's likelihoods."""
 
 
 def seconds_apart(first: float, second: float) -> float:
@@ -60,14 +66,16 @@ def seconds_apart(first: float, second: float) -> float:
 def news(known: Sequence[Observation], new: Observation) -> Observation | None:
     """Return an observation without what is known already of its time; None if nothing is left.
 
-    A measurement is known if an observation with exactly that time has it with the same value and noise: it
-    was sent twice. Another value is a second measurement.
+    A sensor with a name measures a thing once at a time: what an observation of it with exactly that time has
+    is a duplicate. Without a name, a measurement is one if it has the same value and noise.
     """
     left: dict[str, Any] = {}
-    again = [one for one in known if one.t == new.t]
+    again = [one for one in known if one.t == new.t and one.sensor == new.sensor]
     for names in _MEASURED:
         value = [getattr(new, name) for name in names]
-        if value[0] is None or any(value == [getattr(one, name) for name in names] for one in again):
+        measured = [[getattr(one, name) for name in names] for one in again]
+        of_sensor = new.sensor and any(one[0] is not None for one in measured)
+        if value[0] is None or of_sensor or value in measured:
             left |= dict.fromkeys(names)
     inputs = {
         name: value
@@ -85,72 +93,131 @@ def _agree(name: str, known: object, new: object) -> bool:
 
 def merged(
     parts: Sequence[Observation], likelihood: LikelihoodParameters, camera: GroundCamera | None
-) -> Observation:
+) -> Observation | None:
     """Return one observation with the product of the likelihoods of some, at the time of the first.
 
-    Positions have the mean weighted by 1/σ² or, with a robust loss, the M-estimate; von Mises densities have
-    the sum of κ·e^{iθ}; class likelihoods are multiplied. Losses and outlier shares apply to the product.
-
-    Raises
-    ------
-    InputError
-        Naming what has no product in the model: two pixels that are judged in the image, an angle and class
-        likelihoods, classes that exclude each other, two values of an input.
+    Positions and velocities have the mean weighted by their information; von Mises densities have the sum of
+    κ·e^{iθ}, of axes that of κ·e^{2iθ}; class likelihoods are multiplied. Losses and outlier shares apply to
+    the product. None: it is none of the model's likelihoods.
     """
     if len(parts) == 1:
         return parts[0]
-    changed: dict[str, Any] = _position(parts, likelihood, camera)
-    changed |= _orientation(parts, "body", likelihood) | _orientation(parts, "head", likelihood)
+    changed: dict[str, Any] = {"inputs": {}}
     changed["score"] = next((one.score for one in parts if one.score is not None), None)
-    return replace(parts[0], inputs=_inputs(parts), **changed)
-
-
-def _refused(parts: Sequence[Observation], what: str, expected: str) -> InputError:
-    return InputError(f"{what} within {SAME_TIME:g} s at t = {parts[0].t:.12g}", expected)
+    for one in parts:
+        for name, value in one.inputs.items():
+            if not _agree(name, changed["inputs"].setdefault(name, value), value):
+                return None
+    for found in (
+        _position(parts, likelihood, camera),
+        _velocity(parts, likelihood),
+        _axis(parts, likelihood),
+        _orientation(parts, "body", likelihood),
+        _orientation(parts, "head", likelihood),
+    ):
+        if found is None:
+            return None
+        changed |= found
+    return replace(parts[0], **changed)
 
 
 def _position(
     parts: Sequence[Observation], likelihood: LikelihoodParameters, camera: GroundCamera | None
-) -> dict[str, Any]:
-    in_image = [one for one in parts if one.pixel is not None]
-    if likelihood.image_frame and camera is not None and in_image:
-        if sum(one.pixel is not None or one.position is not None for one in parts) > 1:
-            expected = "one of them, or positions that are judged in metres (likelihood.image_frame = false)"
-            raise _refused(parts, "a pixel next to another pixel or position", expected)
-        (one,) = in_image
-        return {name: getattr(one, name) for name in ("position", "position_std", "pixel")}
-    pixel = in_image[0].pixel if len(in_image) == 1 else None
+) -> _Channels:
+    pixels = [one.pixel for one in parts if one.pixel is not None]
     placed = [one for one in parts if one.position is not None]
+    if likelihood.image_frame and camera is not None and pixels:
+        if sum(one.pixel is not None or one.position is not None for one in parts) > 1:
+            return None
+        return {name: getattr(placed[0], name) for name in _MEASURED[0]} | {"pixel": pixels[0]}
+    pixel = {"pixel": pixels[0] if len(pixels) == 1 else None}
     if len(placed) < 2:
         given = placed[0] if placed else parts[0]
-        return {"position": given.position, "position_std": given.position_std, "pixel": pixel}
+        return {name: getattr(given, name) for name in _MEASURED[0]} | pixel
     std = np.array([likelihood.position_stds(one.position_std, 1).item() for one in placed])
-    mean, spread = _m_estimate(np.array([one.position for one in placed]), std, likelihood)
-    declared = spread / likelihood.position_scale
-    return {"position": tuple(mean.tolist()), "position_std": declared, "pixel": pixel}
+    declared = [one.position_covariance for one in placed]
+    covariance = likelihood.position_scale**2 * np.array(
+        [np.eye(2) if one is None else one for one in declared]
+    )
+    round_ = np.array([one is None for one in declared])
+    covariance[round_] = std[round_, None, None] ** 2 * np.eye(2)
+    values = np.array([one.position for one in placed])
+    mean, spread, furthest = _product(values, covariance)
+    if likelihood.robust != "none" and furthest > likelihood.robust_threshold:
+        return None
+    spread = spread / likelihood.position_scale**2
+    noise: dict[str, Any]
+    if round_.all():
+        noise = {"position_std": math.sqrt(spread[0, 0]), "position_covariance": None}
+    else:
+        noise = {"position_std": None, "position_covariance": _as_tuples(spread)}
+    return {"position": tuple(mean.tolist()), **noise, **pixel}
 
 
-def _m_estimate(
-    position: FloatArray, std: FloatArray, likelihood: LikelihoodParameters
-) -> tuple[FloatArray, float]:
-    """Return the mode (2,) of the product of position likelihoods, and its 1-σ by the weights there."""
-    weight = inliers = np.square(std.min() / std)
-    for _ in range(_REWEIGHTED if likelihood.robust != "none" else 1):
-        mean = weight @ position / weight.sum()
-        distance = np.hypot(*(position - mean).T) / std
-        weight = inliers * robust_weights(distance, likelihood)
-    return mean, float(std.min() / np.sqrt(weight.sum()))
+def _product(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return mean (2,) and covariance (2, 2) of the product of Gaussian densities, m of them.
+
+    And the largest distance of a value from that mean, in its standard deviations
+    """
+    information = np.linalg.inv(covariance)
+    spread = np.linalg.inv(information.sum(axis=0))
+    # From the first value: coordinates may be large.
+    away = values - values[0]
+    mean = spread @ np.einsum("mij,mj->i", information, away)
+    left = away - mean
+    furthest = math.sqrt(np.einsum("mi,mij,mj->m", left, information, left).max())
+    return values[0] + mean, spread, furthest
+
+
+def _as_tuples(covariance: FloatArray) -> tuple[tuple[float, float], ...]:
+    return tuple(tuple(row) for row in (0.5 * (covariance + covariance.T)).tolist())
+
+
+def _velocity(parts: Sequence[Observation], likelihood: LikelihoodParameters) -> _Channels:
+    given = [one for one in parts if one.observed_velocity is not None]
+    if len(given) < 2:
+        return {name: getattr((given or parts)[0], name) for name in _MEASURED[2]}
+    round_ = likelihood.velocity_std**2 * np.eye(2)
+    declared = [one.observed_velocity_covariance for one in given]
+    covariance = np.array([round_ if one is None else one for one in declared])
+    mean, spread, _ = _product(np.array([one.observed_velocity for one in given]), covariance)
+    return {
+        "observed_velocity": tuple(mean.tolist()),
+        "observed_velocity_covariance": _as_tuples(spread),
+    }
+
+
+def _axis(parts: Sequence[Observation], likelihood: LikelihoodParameters) -> _Channels:
+    given = [one for one in parts if one.body_axis is not None]
+    if len(given) < 2:
+        return {name: getattr((given or parts)[0], name) for name in _MEASURED[4]}
+    angles = np.array([one.body_axis for one in given])
+    kappas = [likelihood.kappas("body", one.body_axis_kappa, 1).item() for one in given]
+    angle, kappa, _ = _resultant(2.0 * angles, np.array(kappas))
+    declared = min(kappa * likelihood.body_scale**2, LARGEST_CONCENTRATION)
+    return {"body_axis": 0.5 * angle, "body_axis_kappa": declared}
+
+
+def _resultant(angles: FloatArray, kappas: FloatArray) -> tuple[float, float, float]:
+    """Return mean and concentration of the product of von Mises densities.
+
+    And the largest distance of an angle from that mean, in its standard deviations
+    """
+    east, north = float(kappas @ np.cos(angles)), float(kappas @ np.sin(angles))
+    mean = math.atan2(north, east)
+    furthest = float(np.sqrt(2.0 * kappas * (1.0 - np.cos(angles - mean))).max())
+    return mean, math.hypot(east, north), furthest
 
 
 def _orientation(
     parts: Sequence[Observation], name: _Orientation, likelihood: LikelihoodParameters
-) -> dict[str, Any]:
+) -> _Channels:
     """Return the channels of body or head; an angle in a row with class likelihoods is not read."""
     kappa_of, classes_of = f"{name}_kappa", f"{name}_likelihood"
     classes = [one for one in parts if getattr(one, classes_of) is not None]
     angles = [one for one in parts if getattr(one, name) is not None and one not in classes]
     if angles and classes:
-        raise _refused(parts, f"an angle and class likelihoods of the {name}", "one of the two")
+        return None
     if len(classes) > 1:
         product = np.ones(len(getattr(classes[0], classes_of)))
         for one in classes:
@@ -158,25 +225,18 @@ def _orientation(
             # Zeros throughout are uninformative.
             product *= heights / heights.max() if heights.any() else 1.0
         if not product.any():
-            raise _refused(parts, f"classes of the {name} that exclude each other", "a class that all allow")
+            return None
         return {classes_of: tuple((product / product.sum()).tolist()), name: None, kappa_of: None}
     if len(angles) > 1:
-        theta = np.array([getattr(one, name) for one in angles])
-        kappa = [likelihood.kappas(name, getattr(one, kappa_of), 1).item() for one in angles]
-        east, north = float(kappa @ np.cos(theta)), float(kappa @ np.sin(theta))
-        declared = math.hypot(east, north) * getattr(likelihood, f"{name}_scale") ** 2
-        return {name: math.atan2(north, east), kappa_of: min(declared, LARGEST_CONCENTRATION)}
-    given = next(iter(classes or angles), parts[0])
-    return {channel: getattr(given, channel) for channel in (name, kappa_of, classes_of)}
-
-
-def _inputs(parts: Sequence[Observation]) -> dict[str, float | tuple[float, ...]]:
-    found: dict[str, float | tuple[float, ...]] = {}
-    for one in parts:
-        for name, value in one.inputs.items():
-            if not _agree(name, found.setdefault(name, value), value):
-                raise _refused(parts, f"two values of the input {name!r}", "one value")
-    return found
+        kappas = [likelihood.kappas(name, getattr(one, kappa_of), 1).item() for one in angles]
+        given = np.array([getattr(one, name) for one in angles])
+        angle, kappa, furthest = _resultant(given, np.array(kappas))
+        if likelihood.outlier_probability > 0.0 and furthest > likelihood.robust_threshold:
+            return None
+        declared = kappa * getattr(likelihood, f"{name}_scale") ** 2
+        return {name: angle, kappa_of: min(declared, LARGEST_CONCENTRATION)}
+    only = next(iter(classes or angles), parts[0])
+    return {channel: getattr(only, channel) for channel in (name, kappa_of, classes_of)}
 
 
 def merged_rows(
@@ -184,43 +244,58 @@ def merged_rows(
 ) -> tuple[Track, NDArray[np.int64]] | None:
     """Return a track with one frame for the rows of one time, and the frame of each row (n,); None: as it is.
 
-    Rows count as one time with the first row that they are less than `SAME_TIME` after. Raise InputError as
-    `merged`.
+    Rows count as one time with the first row that they are less than `SAME_TIME` after; those whose product
+    is none of the model's likelihoods are frames `APART` later.
     """
     t = track.t
     if not (np.diff(t) < SAME_TIME).any():
         return None
-    first = [0]
-    for k in range(1, len(t)):
-        if seconds_apart(t[first[-1]], t[k]) > 0.0:
-            first.append(k)
-    starts, rows = np.array(first), np.arange(len(t))
-    frame = np.searchsorted(starts, rows, side="right") - 1
     given = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
+    frames: list[tuple[float, list[int], Observation | None]] = []  # time, rows, product of several
+    for row, time in enumerate(t.tolist()):
+        if frames and time - frames[-1][0] < SAME_TIME:
+            since, rows, _ = frames[-1]
+            parts = [
+                observation_at(k, float(t[k]), int(track.frame[k]), given, track.inputs) for k in (*rows, row)
+            ]
+            product = merged(parts, likelihood, camera)
+            if product is not None:
+                frames[-1] = (since, [*rows, row], product)
+                continue
+            time = since + APART
+        frames.append((time, [row], None))
+    starts = np.array([rows[0] for _, rows, _ in frames])
     channels: dict[str, FloatArray] = {name: value[starts] for name, value in given.items()}
     inputs = {name: value[starts] for name, value in track.inputs.items()}
-    for k in np.flatnonzero(np.bincount(frame) > 1).tolist():
-        same = rows[frame == k].tolist()
-        parts = [observation_at(i, float(t[i]), int(track.frame[i]), given, track.inputs) for i in same]
-        one = merged(parts, likelihood, camera)
+    for k, (_, _, product) in enumerate(frames):
+        if product is None:
+            continue
         for name in CHANNELS:
-            value = getattr(one, name)
+            value = getattr(product, name)
             if value is not None and name not in channels:  # a noise that no row declares
                 channels[name] = np.full((len(starts), *SHAPES[name]), np.nan)
             if name in channels:
                 channels[name][k] = np.nan if value is None else value
         for name, values in inputs.items():
-            values[k] = one.inputs.get(name, np.nan)
-    changed: dict[str, Any] = {**channels, "inputs": inputs}
-    return replace(track[starts], **changed), frame
+            values[k] = product.inputs.get(name, np.nan)
+    changed: dict[str, Any] = {**channels, "inputs": inputs, "t": np.array([time for time, _, _ in frames])}
+    frame = np.repeat(np.arange(len(frames)), [len(rows) for _, rows, _ in frames])
+    number = track.frame[starts] if track.sensor is None else np.arange(len(frames))
+    return replace(track[starts], sensor=None, frame=number, **changed), frame
 
 
 def with_merged_rows(
-    tracks: Iterable[Track], likelihood: LikelihoodParameters, camera: GroundCamera | None
-) -> list[Track]:
-    """Return tracks with one frame for the rows of one time; InputError as `merged`."""
-    found = ((track, merged_rows(track, likelihood, camera)) for track in tracks)
-    return [track if one is None else one[0] for track, one in found]
+    tracks: TrackSet, likelihood: LikelihoodParameters
+) -> tuple[TrackSet, dict[int, NDArray[np.int64]]]:
+    """Return tracks with one frame for the rows of one time, and track id → frames as `merged_rows`."""
+    found: list[Track] = []
+    frames: dict[int, NDArray[np.int64]] = {}
+    for track in tracks:
+        one = merged_rows(track, likelihood, tracks.camera)
+        if one is not None:
+            track, frames[track.track_id] = one
+        found.append(track)
+    return tracks.with_tracks(found), frames
 
 
 def of_every_row(estimates: Track, track: Track, frame: NDArray[np.int64]) -> Track:

@@ -148,6 +148,9 @@ class FramePacker:
         seconds = 0.0 if dt is None else round(dt, 14)
         simple = (
             observation.pixel is None
+            and observation.position_covariance is None
+            and observation.observed_velocity is None
+            and observation.body_axis is None
             and observation.body_likelihood is None
             and observation.head_likelihood is None
         )

@@ -114,6 +114,9 @@ def associate_dataset(
     check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
     if block_rows < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"block_rows = {block_rows}, jobs = {jobs}", "numbers from 1")
+    if "sensor" in dataset.columns:
+        expected = "detections of one sensor, or a file that fits into memory (smooth --associate)"
+        raise dataset.fail("a column sensor", expected, column="sensor")
     columns = tuple(name for name in dataset.columns if name not in ("track_id", "label"))
     options = ReadOptions() if read_options is None else read_options
     wanted = ("frame", "x", "y") if options.fps else ("frame", "t", "x", "y")

@@ -28,7 +28,7 @@ from graphtrack.tracks.cells import (
     numbers,
     rows_of_cells,
 )
-from graphtrack.tracks.schema import INTEGERS, in_order, is_column, unknown
+from graphtrack.tracks.schema import INTEGERS, TEXTS, in_order, is_column, unknown
 from graphtrack.tracks.table import Rows
 
 BLOCK = 65_536
@@ -76,7 +76,7 @@ class Dataset:
     ignored : columns that are not of the native table
     names : column of the native table → its name in the files, where that is another well-known one
     notes : on columns read under other names
-    labels : what the numbers in the column ``label`` stand for; it grows as blocks are read
+    labels : what the numbers in columns of text stand for; it grows as blocks are read
     """
 
     path: Path
@@ -98,7 +98,7 @@ class Dataset:
     def blocks(self, columns: Sequence[str] | None = None) -> Iterator[FloatArray]:
         """Matrices (n, columns + 1) of up to `BLOCK` rows; the last column is the number of the row, from 0.
 
-        A missing number is NaN, a label its place in `labels`.
+        A missing number is NaN, a text its place in `labels`.
         """
         columns = self.columns if columns is None else columns
         for file in self.files:
@@ -135,7 +135,7 @@ class Dataset:
                     elif name in file.constants:
                         value = file.constants[name]
                         block[:, place] = self._code(value) if isinstance(value, str) else value
-                    elif name == "label":
+                    elif name in TEXTS:
                         block[:, place] = 0.0
                 block[:, -1] = file.first_row + row + np.arange(n)
                 row += n
@@ -143,7 +143,7 @@ class Dataset:
 
     def _numbers(self, cells: Cells, name: str, own: str) -> FloatArray | list[int]:
         """Return a column of a batch; ``own`` is its name in the file."""
-        if name == "label":
+        if name in TEXTS:
             return list(map(self._code, labels(cells, own)))
         try:
             return numbers(cells, own)
@@ -226,11 +226,12 @@ def rows_of_block(
     path : of the data set, for messages
     columns : names of its columns other than the last
     fps : frames a second, for rows without times
-    texts : number in the column ``label`` → label
+    texts : number in a column of text → text
     """
     cells = {name: block[:, place] for place, name in enumerate(columns)}
-    if "label" in cells:
-        cells["label"] = np.array([texts[code] for code in cells["label"]], dtype=object)
+    for name in TEXTS:
+        if name in cells:
+            cells[name] = np.array([texts[code] for code in cells[name]], dtype=object)
     table = Cells(path, "parquet", cells, lambda row: int(block[row, -1]) + 1)
     return rows_of_cells(table, Layout(), fps=fps, strict=True)
 
@@ -294,7 +295,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
             raise InputError(f"a column {name} and a folder {part}", "one of the two", path=place)
         if not is_column(name):
             foreign.append((name, value))
-        elif name == "label":
+        elif name in TEXTS:
             constants[name] = value
         else:
             number = parse_number(value)
@@ -352,7 +353,7 @@ class ShardWriter:
         arrays = []
         for name, kind in zip(self._columns, self._schema, strict=True):
             values = columns.get(name)
-            if values is None and name == "label":
+            if values is None and name in TEXTS:
                 values = np.full(n, "", dtype=object)
             if values is None:
                 arrays.append(pa.nulls(n, kind.type))
@@ -401,7 +402,7 @@ def _type_of(name: str) -> Any:
 
     if name in INTEGERS:
         return pa.int64()
-    return pa.string() if name == "label" else pa.float64()
+    return pa.string() if name in TEXTS else pa.float64()
 
 
 def _open_writer(path: Path, columns: Any) -> Any:

@@ -26,7 +26,7 @@ from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch, tracks_of_batch
 from graphtrack.smoothing import learn_constants, make_smoothing_ready
 from graphtrack.tracks.display import listed
-from graphtrack.tracks.schema import in_order
+from graphtrack.tracks.schema import TEXTS, in_order
 from graphtrack.tracks.table import check_names
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import INPUT, Speeds
@@ -221,7 +221,7 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
             names |= {f"{name}_deg", f"{name}_std_deg"}
-    names |= {name for name in dataset.columns if name == "label" or name.startswith(("true_", INPUT))}
+    names |= {name for name in dataset.columns if name in TEXTS or name.startswith(("true_", INPUT))}
     return in_order(names)
 
 
@@ -238,7 +238,6 @@ def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, t
 
 
 def _labels(dataset: Dataset, rows: FloatArray) -> dict[int, str]:
-    if "label" not in dataset.columns:
-        return {}
-    codes = np.unique(rows[:, dataset.columns.index("label")]).astype(int)
+    places = [dataset.columns.index(name) for name in TEXTS if name in dataset.columns]
+    codes = np.unique(rows[:, places]).astype(int)
     return {code: dataset.labels[code] for code in codes.tolist()}

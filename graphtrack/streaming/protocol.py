@@ -18,6 +18,7 @@ from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
+from graphtrack.model.observation import Covariance
 from graphtrack.streaming.clock import StreamClock
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
@@ -173,8 +174,23 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         _classes(cells, "body"),
         _classes(cells, "head"),
         get("score"),
+        _covariance(cells, "x", "y", "xy"),
+        _pair(cells, "observed_vx", "observed_vy"),
+        _covariance(cells, "vx", "vy", "vxy"),
+        None if "body_axis_deg" not in cells else _angle(cells["body_axis_deg"]),
+        get("body_axis_kappa"),
+        get("sensor", ""),
         _inputs(cells),
     )
+
+
+def _covariance(cells: dict[str, Any], first: str, second: str, both: str) -> Covariance | None:
+    """Return the covariance of observed columns of deviations and a correlation; None without them."""
+    a, b = cells.get(f"observed_{first}_std"), cells.get(f"observed_{second}_std")
+    if a is None or b is None:
+        return None
+    mixed = cells.get(f"observed_{both}_corr", 0.0) * a * b
+    return ((a * a, mixed), (mixed, b * b))
 
 
 def _of_axes(cells: dict[str, Any]) -> float | None:

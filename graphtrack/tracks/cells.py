@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.schema import is_column, repeated, unknown
+from graphtrack.tracks.schema import TEXTS, is_column, repeated, unknown
 from graphtrack.tracks.table import (
     ANGLES,
     DEGREES,
@@ -574,7 +574,7 @@ def rows_of_cells(
     for key, name in named.items():
         if key == "track_id" and not strict:
             columns[key], names = identities(cells, name)
-        elif key == "label":
+        elif key in TEXTS:
             columns[key] = labels(cells, name)
         elif key == "t" and (key in layout.columns or _has_moments(cells, name, layout, strict)):
             columns[key], time, time_notes = times(
@@ -739,7 +739,7 @@ def with_frames(
     frames, how = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
     notes.append(f"no frames: {how}")
-    if "track_id" in columns:
+    if "track_id" in columns and "sensor" not in columns:
         _check_once(columns, cells, named)
 
 
@@ -751,7 +751,8 @@ def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mappin
     if twice.any():
         row = int(order[np.flatnonzero(twice) + 1].min())
         person, when = cells.columns[named["track_id"]][row], cells.columns[named["t"]][row]
-        raise cells.fail(f"{person} again at {when}", "each once at a time", row, named["t"])
+        expected = "each once at a time, or a column sensor with the names of several"
+        raise cells.fail(f"{person} again at {when}", expected, row, named["t"])
 
 
 _AMISS = 0.25  # of a frame: how far a time may be from that of its frame

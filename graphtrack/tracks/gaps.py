@@ -45,7 +45,7 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
     steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
     the gap. A gap whose frames would follow each other ten times faster than the frames around it is left,
-    since its frame numbers do not count time.
+    since its frame numbers do not count time; so are those of rows of sensors, which each count their own.
 
     Parameters
     ----------
@@ -161,7 +161,8 @@ def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
 def gaps_without_time(tracks: TrackSet) -> int:
     """Return the number of gaps that `filled` leaves because their frame numbers do not count time."""
     rate = usual_rate((one.frame, one.t) for one in tracks)
-    return sum(int((np.diff(one.frame) > FASTEST * rate * np.diff(one.t)).sum()) for one in tracks)
+    counted_by = (one for one in tracks if one.sensor is None)
+    return sum(int((np.diff(one.frame) > FASTEST * rate * np.diff(one.t)).sum()) for one in counted_by)
 
 
 def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
@@ -178,7 +179,7 @@ def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
 
 def _gaps(track: Track, usual: float, rate: float, longest: float) -> tuple[NDArray[np.int64], int]:
     """Return the indices of the rows before the gaps of a track, and its step in frame numbers."""
-    if len(track) < 2:
+    if len(track) < 2 or track.sensor is not None:
         return np.empty(0, dtype=np.int64), 1
     apart, seconds = np.diff(track.frame), np.diff(track.t)
     step = max(1, round(min(float(np.median(apart)), usual)))
@@ -239,9 +240,10 @@ def _at_rate(track: Track, origin: float, hz: float) -> Track:
     times = origin + ticks / hz
     after = np.clip(np.searchsorted(track.t, times), 0, len(track) - 1)
     apart = np.minimum(np.abs(times - track.t[after]), np.abs(times - track.t[np.maximum(after - 1, 0)]))
-    t = np.sort(np.concatenate([track.t, times[apart > TIME_TOLERANCE]]))
-    renumbered = replace(track, frame=np.searchsorted(t, track.t).astype(np.int64))
-    return with_rows(renumbered, np.arange(len(t)), t)
+    t = np.concatenate([track.t, times[apart > TIME_TOLERANCE]])
+    order = np.argsort(t, kind="stable")  # rows of sensors may have one time
+    renumbered = replace(track, frame=np.argsort(order)[: len(track)].astype(np.int64))
+    return with_rows(renumbered, np.arange(len(t)), t[order])
 
 
 def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
@@ -257,18 +259,22 @@ def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
     place = np.searchsorted(frame, track.frame)
     channels: dict[str, FloatArray] = {}
     for name, values in vars(track).items():
-        if isinstance(values, np.ndarray) and name != "frame":
+        if isinstance(values, np.ndarray) and name not in ("frame", "sensor"):
             channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
             channels[name][place] = values
     channels["t"] = np.where(np.isin(frame, track.frame), channels["t"], t)
     observed = np.zeros(len(frame))
     observed[place] = 1.0 if track.observed is None else track.observed
     channels["observed"] = observed
+    sensor = None
+    if track.sensor is not None:
+        sensor = np.full(len(frame), "", dtype=track.sensor.dtype)
+        sensor[place] = track.sensor
     inputs = {}
     for name, values in track.inputs.items():
         inputs[name] = np.full((len(frame), *values.shape[1:]), np.nan)
         inputs[name][place] = values
-    return Track(track.track_id, frame, label=track.label, inputs=inputs, **channels)
+    return Track(track.track_id, frame, sensor=sensor, label=track.label, inputs=inputs, **channels)
 
 
 def positions_at(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 from graphtrack.tracks.validation import (
     APPEARANCE,
@@ -18,10 +19,14 @@ from graphtrack.tracks.validation import (
     LARGEST_FRAME,
     LARGEST_ID,
     LARGEST_METRES,
+    SMALLEST,
     STATE,
     Bounds,
     within,
 )
+
+LARGEST_CORRELATION = 1.0 - 1e-9
+"""Of an observation's axes: a covariance has an inverse."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class Column:
     bounds : the values allowed
     degrees : whether the file has degrees where the attribute has radians
     wrapped : whether it is an angle on the circle (a spread in degrees is not)
+    part : of a covariance, which the file has as standard deviations and correlations
     """
 
     name: str
@@ -44,6 +50,7 @@ class Column:
     bounds: Bounds
     degrees: bool = False
     wrapped: bool = False
+    part: Literal["", "deviation", "correlation"] = ""
 
 
 def _angle(name: str, field: str) -> Column:
@@ -60,7 +67,18 @@ def _classes(prefix: str, field: str, count: int) -> tuple[Column, ...]:
 
 def _spread(name: str, state: str) -> Column:
     i = STATE.index(state)
-    return Column(name, "covariance", (i, i), Bounds(0.0, LARGEST_METRES), degrees=name.endswith("_deg"))
+    degrees = name.endswith("_deg")
+    return Column(name, "covariance", (i, i), Bounds(0.0, LARGEST_METRES), degrees, part="deviation")
+
+
+def _observed_spread(field: str, first: str, second: str, both: str) -> tuple[Column, ...]:
+    """Return the columns of an observed 2 × 2 covariance: deviations and correlation."""
+    deviation = Bounds(SMALLEST, LARGEST_METRES)
+    return (
+        Column(f"observed_{first}_std", field, (0, 0), deviation, part="deviation"),
+        Column(f"observed_{second}_std", field, (1, 1), deviation, part="deviation"),
+        Column(f"observed_{both}_corr", field, (0, 1), within(LARGEST_CORRELATION), part="correlation"),
+    )
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -68,10 +86,16 @@ COLUMNS: tuple[Column, ...] = (
     _number("x", "position", 0),
     _number("y", "position", 1),
     _number("pos_std", "position_std"),
+    *_observed_spread("position_covariance", "x", "y", "xy"),
     _number("u", "pixel", 0),
     _number("v", "pixel", 1),
+    _number("observed_vx", "observed_velocity", 0),
+    _number("observed_vy", "observed_velocity", 1),
+    *_observed_spread("observed_velocity_covariance", "vx", "vy", "vxy"),
     _angle("body_deg", "body"),
     _number("body_kappa", "body_kappa"),
+    _angle("body_axis_deg", "body_axis"),
+    _number("body_axis_kappa", "body_axis_kappa"),
     _angle("head_deg", "head"),
     _number("head_kappa", "head_kappa"),
     *_classes("body", "body_likelihood", BODY_CLASSES),
@@ -96,7 +120,10 @@ COLUMNS: tuple[Column, ...] = (
 BY_NAME = {column.name: column for column in COLUMNS}
 INTEGERS = {"track_id": LARGEST_ID, "frame": LARGEST_FRAME}
 
-NAMES = (*INTEGERS, *BY_NAME, "label")
+TEXTS = ("sensor", "label")
+"""Columns of text."""
+
+NAMES = (*INTEGERS, *BY_NAME, *TEXTS)
 """All columns of the native table except inputs, in the order of writing."""
 
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
@@ -183,19 +210,28 @@ def in_order(names: Collection[str]) -> tuple[str, ...]:
     inputs.sort(key=lambda column: (column.field, column.index))
     there = set(names)
     known = [name for name in NAMES if name in there]
-    place = len(known) - ("label" in known)
+    place = len(known) - sum(name in there for name in TEXTS)
     return (*known[:place], *(column.name for column in inputs), *known[place:])
 
 
 TOGETHER: tuple[tuple[str, ...], ...] = (
     ("x", "y"),
+    ("observed_x_std", "observed_y_std"),
     ("u", "v"),
+    ("observed_vx", "observed_vy"),
+    ("observed_vx_std", "observed_vy_std"),
     ("vx", "vy"),
     ("true_x", "true_y"),
     tuple(f"body_p{k}" for k in range(BODY_CLASSES)),
     tuple(f"head_p{k}" for k in range(HEAD_CLASSES)),
 )
 """Groups of columns that a file, or a row, has completely or not at all; for inputs see `together`."""
+
+NEEDED = {
+    "observed_xy_corr": ("observed_x_std", "observed_y_std"),
+    "observed_vxy_corr": ("observed_vx_std", "observed_vy_std"),
+}
+"""Columns that say nothing without others."""
 
 _GROUPS = tuple((group, frozenset(group)) for group in TOGETHER)
 

@@ -18,6 +18,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import (
     INTEGERS,
+    NEEDED,
     NO_CLASS,
     expected_group,
     expected_integer,
@@ -27,9 +28,11 @@ from graphtrack.tracks.schema import (
 )
 from graphtrack.tracks.time import Plane, TimeScale
 from graphtrack.tracks.validation import (
+    SENSOR_NAME,
     SHAPES,
     TEXT,
     bounds_of,
+    is_sensor_name,
     is_text,
     out_of_bounds,
 )
@@ -38,7 +41,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-LENGTHS = (*("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"), *("true_x", "true_y"))
+LENGTHS = (
+    *("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std", "true_x", "true_y"),
+    *("observed_x_std", "observed_y_std"),
+    *("observed_vx", "observed_vy", "observed_vx_std", "observed_vy_std"),
+)
 """Columns of the native table that are metres, or metres a second."""
 
 DEGREES = ("lat", "lon")
@@ -230,6 +237,7 @@ class Rows:
         when they become tracks. A track's input is the channel ``input_<name>``
     line_of : row number → line in the file
     labels : track id → label
+    sensor : (n,) text, the name of each row's sensor, "" without one; None: the rows have none
     camera : the camera that made the positions, if any
     refused : reason → number of rows left out so far
     notes : what was assumed or repaired, one sentence each
@@ -244,6 +252,7 @@ class Rows:
     channels: Mapping[str, FloatArray]
     line_of: Callable[[int], int]
     labels: Mapping[int, str] = field(default_factory=dict)
+    sensor: NDArray[np.str_] | None = None
     camera: GroundCamera | None = None
     refused: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -290,6 +299,7 @@ class Rows:
             track_id=self.track_id[rows],
             frame=self.frame[rows],
             channels={name: value[rows] for name, value in self.channels.items()},
+            sensor=None if self.sensor is None else self.sensor[rows],
             line_of=lambda i: line_of(int(rows[i])),
         )
 
@@ -299,13 +309,17 @@ class Rows:
 
 
 def sorted_rows(rows: Rows) -> Rows:
-    """Return the rows sorted by track and frame.
+    """Return the rows sorted by track and frame; of several sensors by track, time and sensor.
+
+    Rows of a track, a sensor and a time that repeat are left out and counted.
 
     Warns
     -----
     InputWarning
         If frames had to be sorted; a note is added too.
     """
+    if rows.sensor is not None:
+        return _sorted_scans(rows)
     check_rows(rows)
     unsorted_tracks = _unsorted(rows)
     if unsorted_tracks:
@@ -325,13 +339,35 @@ def sorted_rows(rows: Rows) -> Rows:
             line=rows.line_of(i),
             column="t",
         )
+    _check_bounds(rows)
+    return rows
+
+
+def _sorted_scans(rows: Rows) -> Rows:
+    """Return the rows of several sensors in order; frames count the scans of each sensor by itself."""
+    assert rows.sensor is not None
+    order = np.lexsort((rows.sensor, rows.channels["t"], rows.track_id))
+    rows = rows.taken(order)
+    t, sensor = rows.channels["t"], rows.sensor
+    assert sensor is not None
+    again = np.zeros(len(rows), bool)
+    again[1:] = (np.diff(rows.track_id) == 0) & (np.diff(t) == 0.0) & (sensor[1:] == sensor[:-1])
+    rows = rows.keep(~again | (rows.track_id == -1), REPEATED_BY_SENSOR)
+    _check_some(rows)
+    _check_bounds(rows)
+    return rows
+
+
+REPEATED_BY_SENSOR = "rows that repeat a track and a time of one sensor"
+
+
+def _check_bounds(rows: Rows) -> None:
     for name, values in rows.channels.items():
         place = bounds_of(name).first_outside(values)
         if place is not None:
             i = place[0]
             at = {"path": rows.path, "line": rows.line_of(i)}
             raise out_of_bounds(name, values[place], int(rows.frame[i]), int(rows.track_id[i]), **at)
-    return rows
 
 
 def no_camera(rows: Rows) -> InputError:
@@ -353,6 +389,22 @@ def check_identities(rows: Rows) -> None:
 
 def check_rows(rows: Rows) -> None:
     """Refuse a file without usable rows, with missing identities, or with two rows of a track in a frame."""
+    _check_some(rows)
+    order = np.lexsort((rows.frame, rows.track_id))
+    twice = (np.diff(rows.track_id[order]) == 0) & (np.diff(rows.frame[order]) == 0)
+    if twice.any():
+        later = order[np.flatnonzero(twice) + 1]
+        i = int(later.min())
+        raise InputError(
+            f"track {rows.track_id[i]} again in frame {rows.frame[i]}",
+            "each track once a frame, or a column sensor with the names of several",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+
+
+def _check_some(rows: Rows) -> None:
+    """Refuse a file without usable rows, or with missing identities."""
     if not len(rows):
         reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
         found = f"no usable row ({reasons} refused)" if reasons else "no rows"
@@ -364,17 +416,6 @@ def check_rows(rows: Rows) -> None:
             "one for each row, or none; --associate always ignores them, --associate repair keeps them",
             path=rows.path,
             line=rows.line_of(int(nobody[0])),
-        )
-    order = np.lexsort((rows.frame, rows.track_id))
-    twice = (np.diff(rows.track_id[order]) == 0) & (np.diff(rows.frame[order]) == 0)
-    if twice.any():
-        later = order[np.flatnonzero(twice) + 1]
-        i = int(later.min())
-        raise InputError(
-            f"track {rows.track_id[i]} again in frame {rows.frame[i]}",
-            "each track once a frame",
-            path=rows.path,
-            line=rows.line_of(i),
         )
 
 
@@ -429,7 +470,7 @@ def from_columns(
 
     Parameters
     ----------
-    columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
+    columns : name → (n,) numbers, NaN where a cell is empty; ``sensor`` and ``label`` hold text or None
     path, format, line_of : as in `Rows`
     fps : frames a second, for rows without times
     fail : makes the error for what is found and expected in a row and a column
@@ -451,6 +492,9 @@ def from_columns(
                 raise fail(f"{values[place]:g}", column.bounds.expected, place[0], name)
     for group in together(tuple(columns)):
         _check_group({name: columns[name] for name in group}, fail)
+    for name, needed in NEEDED.items():
+        if name in columns:
+            _check_group({one: columns[one] for one in needed}, fail, columns[name])
     if ignored:
         notes = (*notes, f"ignored columns {listed(ignored)}")
     track_id = columns["track_id"].astype(np.int64)
@@ -462,6 +506,7 @@ def from_columns(
         _channels(columns),
         line_of,
         _labels(columns.get("label"), track_id, fail),
+        _sensors(columns.get("sensor"), fail),
         notes=notes,
         has_identity=identified and bool((track_id != -1).any()),
     )
@@ -497,10 +542,15 @@ def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable
         raise fail(found, expected_integer(highest), row, name)
 
 
-def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
-    """Refuse rows with some but not all cells of a group, and class likelihoods that are all zero."""
+def _check_group(
+    group: Mapping[str, FloatArray], fail: Callable[..., InputError], user: FloatArray | None = None
+) -> None:
+    """Refuse rows with some but not all cells of a group, and class likelihoods that are all zero.
+
+    ``user`` (n,): of a further column, which says nothing without the group
+    """
     empty = np.isnan(np.column_stack(list(group.values())))
-    partial = empty.any(axis=1) & ~empty.all(axis=1)
+    partial = empty.any(axis=1) & (~empty.all(axis=1) if user is None else ~np.isnan(user))
     if partial.any():
         row = int(np.argmax(partial))
         names = list(group)
@@ -529,11 +579,21 @@ def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
             # An angle in range is kept to the last bit, so that files round-trip.
             with np.errstate(invalid="ignore"):
                 cells = np.where((cells > -np.pi) & (cells <= np.pi), cells, wrap(cells))
-        if column.field == "covariance":
+        if column.part == "deviation":
             cells = cells**2
         place: tuple[Any, ...] = (..., *column.index)
         channels[column.field][place] = cells
+    for name in ("position_covariance", "observed_velocity_covariance"):
+        if name in channels:
+            _complete(channels[name])
     return channels
+
+
+def _complete(covariance: FloatArray) -> None:
+    """Replace the correlation at [0, 1] of some (n, 2, 2), NaN for none, by the covariance, in place."""
+    deviation = np.sqrt(covariance[:, 0, 0] * covariance[:, 1, 1])
+    both = np.nan_to_num(covariance[:, 0, 1]) * deviation
+    covariance[:, 0, 1] = covariance[:, 1, 0] = both
 
 
 def _labels(
@@ -553,6 +613,17 @@ def _labels(
                 f"{label!r} after {found[identity]!r}", f"one label for track {identity}", row, "label"
             )
     return found
+
+
+def _sensors(names: NDArray[Any] | None, fail: Callable[..., InputError]) -> NDArray[np.str_] | None:
+    """Return the names of the rows' sensors (n,); None if all are empty."""
+    if names is None:
+        return None
+    given = [name if isinstance(name, str) else "" for name in names.tolist()]
+    wrong = next((row for row, name in enumerate(given) if not is_sensor_name(name)), None)
+    if wrong is not None:
+        raise fail(repr(given[wrong][:40]), SENSOR_NAME, wrong, "sensor")
+    return np.array(given, dtype=str) if any(given) else None
 
 
 def _with_times(rows: Rows, fps: float | None, fail: Callable[..., InputError]) -> Rows:

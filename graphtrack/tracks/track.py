@@ -22,7 +22,15 @@ from graphtrack.errors import InputError, InputWarning, TrackIndexError, Unknown
 from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
-from graphtrack.tracks.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
+from graphtrack.tracks.schema import (
+    COLUMNS,
+    INPUT_NAME,
+    LARGEST_CORRELATION,
+    Column,
+    input_columns,
+    is_input_name,
+    numeric,
+)
 from graphtrack.tracks.schema import in_order as columns_in_order
 from graphtrack.tracks.table import (
     AsRead,
@@ -39,11 +47,13 @@ from graphtrack.tracks.validation import (
     INPUT,
     LARGEST_FRAME,
     LARGEST_ID,
+    SENSOR_NAME,
     SHAPES,
     STATE,
     TEXT,
     Speeds,
     bounds_of,
+    is_sensor_name,
     is_text,
     out_of_bounds,
     real_numbers,
@@ -71,12 +81,17 @@ class Track:
     Attributes
     ----------
     track_id : within ±`LARGEST_ID`
-    frame : (n,) int64, strictly increasing
-    t : (n,) seconds, strictly increasing
+    frame : (n,) int64, strictly increasing; of several sensors in any order, each may count its own
+    t : (n,) seconds, strictly increasing; rows of several sensors may have the same time
     position : (n, 2) metres on the ground plane
     position_std : (n,) metres, the 1-σ of each axis of ``position``; NaN: the model's default
+    position_covariance : (n, 2, 2) m², of ``position``, in place of ``position_std``
     pixel : (n, 2) foot point (u, v) in the image, y down
+    observed_velocity, observed_velocity_covariance : (n, 2) m/s and (n, 2, 2) m²/s², such as of a radar; NaN:
+        the model's default
     body, head : (n,) radians, orientation in the world
+    body_axis : (n,) radians, orientation of the body up to a half turn, such as of a box or a shoulder line;
+        ``body_axis_kappa`` (n,) the concentration about either end; NaN: the model's ``body_kappa``
     body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
     body_likelihood : (n, 8), head_likelihood : (n, 12)
         Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
@@ -88,6 +103,7 @@ class Track:
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated, and
         where a correlation is unknown: tables have deviations alone
     true_position, true_body, true_head : the truth, where it is known
+    sensor : (n,) text, the name of each row's sensor, "" without one
     label : a readable name, such as the clip
     inputs : name → (n,) or (n, k) further known values in each frame that a term of the model reads, such as
         a group's centre or a distance; a row is all finite or all NaN. Estimates keep them, except
@@ -99,9 +115,14 @@ class Track:
     t: FloatArray
     position: FloatArray
     position_std: FloatArray | None = None
+    position_covariance: FloatArray | None = None
     pixel: FloatArray | None = None
+    observed_velocity: FloatArray | None = None
+    observed_velocity_covariance: FloatArray | None = None
     body: FloatArray | None = None
     body_kappa: FloatArray | None = None
+    body_axis: FloatArray | None = None
+    body_axis_kappa: FloatArray | None = None
     head: FloatArray | None = None
     head_kappa: FloatArray | None = None
     body_likelihood: FloatArray | None = None
@@ -114,6 +135,7 @@ class Track:
     true_position: FloatArray | None = None
     true_body: FloatArray | None = None
     true_head: FloatArray | None = None
+    sensor: NDArray[np.str_] | None = None
     label: str = ""
     inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
@@ -141,12 +163,45 @@ class Track:
                 continue
             self._set(name, self._checked(name, value, (len(frame), *tail)))
         object.__setattr__(self, "inputs", self._checked_inputs())
+        for name in ("position_covariance", "observed_velocity_covariance"):
+            self._check_definite(name)
+        if self.sensor is not None:
+            self._check_sensors()
+            return
         if np.any(np.diff(self.frame) <= 0):
             raise InputError(
                 "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
             )
         if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
             raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
+
+    def _check_definite(self, name: str) -> None:
+        """Check that the covariances (n, 2, 2) of a channel are positive definite, or NaN."""
+        value = getattr(self, name)
+        if value is None:
+            return
+        a, b = value[:, 0, 0], value[:, 1, 1]
+        largest = LARGEST_CORRELATION * np.sqrt(np.maximum(a * b, 0.0)) * (1.0 + 1e-12)
+        alike = np.isclose(value[:, 0, 1], value[:, 1, 0], rtol=1e-9, atol=0.0)
+        fine = (a > 0.0) & (b > 0.0) & alike & (np.abs(value[:, 0, 1]) <= largest)
+        if not np.all(fine | np.isnan(value).all(axis=(1, 2))):
+            frame = self.frame[~fine & ~np.isnan(value).all(axis=(1, 2))][0]
+            found = f"{name} in frame {frame} of track {self.track_id}"
+            raise InputError(found, "a symmetric, positive definite matrix, or NaN")
+
+    def _check_sensors(self) -> None:
+        """Check names, and times that increase for each sensor."""
+        names = np.array(self.sensor, dtype=str)
+        wrong = next((name for name in np.unique(names).tolist() if not is_sensor_name(name)), None)
+        if names.shape != self.frame.shape or wrong is not None:
+            found = f"sensors of shape {names.shape}" if wrong is None else f"the sensor {wrong[:40]!r}"
+            expected = f"shape {self.frame.shape}" if wrong is None else SENSOR_NAME
+            raise InputError(f"{found} in track {self.track_id}", expected)
+        self._set("sensor", names)
+        again = (np.diff(self.t) == 0.0) & (names[1:] <= names[:-1])
+        if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) < 0.0) or again.any():
+            expected = f"t in order, and each sensor once at a time, by name, in track {self.track_id}"
+            raise InputError("times that do not increase", expected)
 
     @classmethod
     def _trusted(
@@ -156,11 +211,14 @@ class Track:
         channels: Mapping[str, FloatArray | None],
         label: str = "",
         inputs: Mapping[str, FloatArray] = MappingProxyType({}),
+        sensor: NDArray[np.str_] | None = None,
     ) -> Track:
         """Return a track of valid arrays, which become read-only."""
         # Neither checked nor copied: for thousands of tracks that would take longer than smoothing.
         track = object.__new__(cls)
-        vars(track).update(track_id=track_id, frame=frame, label=label, inputs=dict(inputs), **_ABSENT)
+        vars(track).update(
+            track_id=track_id, frame=frame, label=label, inputs=dict(inputs), sensor=sensor, **_ABSENT
+        )
         vars(track).update(channels)
         for value in (frame, *channels.values(), *inputs.values()):
             if value is not None:
@@ -308,6 +366,11 @@ class Track:
             return np.full(len(self), np.nan)
         i = STATE.index(name)
         return np.sqrt(self.covariance[:, i, i])
+
+    @property
+    def axis_std(self) -> FloatArray | None:
+        """Return the 1-σ (n,) of each axis of positions, metres: of an ellipse by the mean variance."""
+        return of_axes(self.position_std, self.position_covariance)
 
     @property
     def has_truth(self) -> bool:
@@ -506,9 +569,18 @@ class TrackSet:
             label = rows.labels.get(identity, "")
             given = [name for name in channels if name.startswith(INPUT)]
             inputs = {name.removeprefix(INPUT): channels.pop(name) for name in given}
-            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
+            sensor = None if rows.sensor is None else rows.sensor[start:stop]
+            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs, sensor))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
         return cls(tuple(tracks), rows.camera, summary, rows.as_read)
+
+
+def of_axes(std: FloatArray | None, covariance: FloatArray | None) -> FloatArray | None:
+    """Return the 1-σ (n,) of an axis with the mean variance of covariances (n, 2, 2), else ``std``."""
+    if covariance is None:
+        return std
+    mean = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
+    return mean if std is None else np.where(np.isnan(mean), std, mean)
 
 
 def observed_angle(track: Track, name: str) -> FloatArray:
@@ -558,8 +630,11 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
             columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
     # Spreads that no engine estimated are NaN throughout: leave the column out.
     for column in COLUMNS:
-        if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
+        if column.part and column.name in columns and np.isnan(columns[column.name]).all():
             del columns[column.name]
+    if any(track.sensor is not None for track in tracks):
+        names = [np.full(len(one), "") if one.sensor is None else one.sensor for one in tracks]
+        columns["sensor"] = np.concatenate(names).astype(object)
     if any(track.label for track in tracks):
         labels = [track.label for track in tracks]
         columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
@@ -591,6 +666,8 @@ def _cells(track: Track, column: Column) -> FloatArray:
         return np.full(len(track), np.nan)
     place: tuple[Any, ...] = (..., *column.index)
     cells: FloatArray = value[place]
-    if column.field == "covariance":
+    if column.part == "deviation":
         cells = np.sqrt(cells)
+    elif column.part == "correlation":
+        cells = cells / np.sqrt(value[..., 0, 0] * value[..., 1, 1])
     return np.rad2deg(cells) if column.degrees else cells

@@ -69,9 +69,14 @@ FIELDS: Mapping[str, Bounds] = {
     "t": within(LARGEST_SECONDS),
     "position": METRES,
     "position_std": Bounds(SMALLEST, LARGEST_METRES),
+    "position_covariance": within(LARGEST_METRES**2),
     "pixel": PIXELS,
+    "observed_velocity": METRES,
+    "observed_velocity_covariance": within(LARGEST_METRES**2),
     "body": RADIANS,
     "body_kappa": CONCENTRATION,
+    "body_axis": RADIANS,
+    "body_axis_kappa": CONCENTRATION,
     "head": RADIANS,
     "head_kappa": CONCENTRATION,
     "body_likelihood": LIKELIHOOD,
@@ -94,7 +99,10 @@ BODY_CLASSES, HEAD_CLASSES = 8, 12
 
 SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
     "position": (2,),
+    "position_covariance": (2, 2),
     "pixel": (2,),
+    "observed_velocity": (2,),
+    "observed_velocity_covariance": (2, 2),
     "body_likelihood": (BODY_CLASSES,),
     "head_likelihood": (HEAD_CLASSES,),
     "velocity": (2,),
@@ -181,6 +189,16 @@ def real_numbers(given: Any) -> NDArray[np.float64]:
     if isinstance(given, np.ma.MaskedArray):
         numbers[np.ma.getmaskarray(given)] = np.nan
     return numbers
+
+
+SENSOR_NAME = "up to 100 characters of text on one line"
+"""Names of sensors, as messages expect them."""
+
+
+def is_sensor_name(value: object) -> bool:
+    """Return whether a value may be the name of a sensor; "" is that of rows without one."""
+    short = isinstance(value, str) and len(value) <= 100 and len(value.splitlines()) <= 1
+    return short and is_text(value)
 
 
 TEXT = "text in Unicode characters (no half of a surrogate pair)"
@@ -318,7 +336,8 @@ class Speeds:
 
 def median_speed(t: FloatArray, position: FloatArray) -> tuple[float, int]:
     """Return the median speed (m/s) over about 1 s, and the number of positions; 0, 0 for fewer than two."""
-    has_position = np.isfinite(position).all(axis=1)
+    later = np.diff(t, prepend=-np.inf) > 0.0  # rows of several sensors may have one time
+    has_position = np.isfinite(position).all(axis=1) & later
     position, t = position[has_position], t[has_position]
     if len(t) < 2:
         return 0.0, 0

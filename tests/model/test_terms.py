@@ -115,6 +115,30 @@ def metres_density(states: States, track: Track, parameters: Parameters) -> floa
     return float(np.sum(stats.norm.logpdf(states.position - track.position, scale=std)))
 
 
+def ellipse_density(states: States, track: Track, parameters: Parameters) -> float:
+    noise = parameters.likelihood.position_scale**2 * track.position_covariance
+    misses = states.position - track.position
+    return float(sum(stats.multivariate_normal.logpdf(m, cov=c) for m, c in zip(misses, noise, strict=True)))
+
+
+def velocity_density(states: States, track: Track, parameters: Parameters) -> float:
+    """Of the velocities; that of positions is stated elsewhere."""
+    covariance = track.observed_velocity_covariance
+    if covariance is None:
+        covariance = np.tile(parameters.likelihood.velocity_std**2 * np.eye(2), (len(track), 1, 1))
+    misses = states.velocity - track.observed_velocity
+    of_velocities = (
+        stats.multivariate_normal.logpdf(m, cov=c) for m, c in zip(misses, covariance, strict=True)
+    )
+    return float(sum(of_velocities)) + metres_density(states, track, parameters)
+
+
+def axis_density(states: States, track: Track, parameters: Parameters) -> float:
+    """Von Mises of twice the angle, of a curvature κ at either end."""
+    deviation = 2.0 * (states.body - track.body_axis)
+    return float(np.sum(stats.vonmises.logpdf(deviation, parameters.likelihood.body_kappa / 4.0)))
+
+
 def pixels_density(states: States, track: Track, parameters: Parameters) -> float:
     miss = CAMERA.ground_to_image(states.position) - track.pixel
     return float(np.sum(stats.norm.logpdf(miss, scale=parameters.likelihood.pixel_std)))
@@ -185,6 +209,8 @@ NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0)
 STEERED: dict[str, Any] = {"density": steered_density}
 MIXED_8: dict[str, Any] = {"channels": ("body_likelihood",)}
 MIXED_12: dict[str, Any] = {"channels": ("head_likelihood",)}
+ELLIPSES: dict[str, Any] = {"channels": ("position", "position_covariance")}
+VELOCITIES = ("position", "observed_velocity", "observed_velocity_covariance")
 SEEN_BODY: dict[str, Any] = {"channels": ("body",)}
 SEEN_HEAD: dict[str, Any] = {"channels": ("head",)}
 
@@ -209,6 +235,14 @@ CASES = [
     Case("metres", PositionLikelihood, density=metres_density),
     Case("metres, Huber", PositionLikelihood, likelihood(robust="huber")),
     Case("metres, Cauchy", PositionLikelihood, likelihood(robust="cauchy")),
+    Case("ellipses", PositionLikelihood, density=ellipse_density, **ELLIPSES),
+    Case("scaled ellipses", PositionLikelihood, likelihood(position_scale=3.0), ellipse_density, **ELLIPSES),
+    Case("ellipses, Cauchy", PositionLikelihood, likelihood(robust="cauchy"), **ELLIPSES),
+    Case("velocities", PositionLikelihood, density=velocity_density, channels=VELOCITIES[:2]),
+    Case("velocities, ellipses", PositionLikelihood, density=velocity_density, channels=VELOCITIES),
+    Case("body axis", BodyLikelihood, density=axis_density, channels=("body_axis",)),
+    Case("body axis, sharp", BodyLikelihood, likelihood(body_kappa=1e4), channels=("body_axis",)),
+    Case("body axis and angle", BodyLikelihood, OUTLIERS, channels=("body_axis", "body")),
     Case("pixels", PositionLikelihood, density=pixels_density, channels=("position", "pixel")),
     Case("pixels, Cauchy", PositionLikelihood, likelihood(robust="cauchy"), channels=("position", "pixel")),
     Case("body angle", BodyLikelihood, density=angle_density("body"), **SEEN_BODY),
@@ -268,6 +302,10 @@ def situation(seed: int, n: int = 3) -> tuple[States, Track]:
     seen |= {"body_likelihood": classes[0], "head_likelihood": classes[1]}
     t, pixel = np.cumsum(rng.uniform(0.02, 0.5, n)), CAMERA.ground_to_image(elsewhere)
     group = np.column_stack([rng.normal(0.0, 2.0, (n, 2)), rng.uniform(0.1, 1.0, n)])
+    roots = rng.normal(0.0, 0.3, (2, n, 2, 2)) + 0.1 * np.eye(2)
+    position_covariance, velocity_covariance = np.einsum("knab,kncb->knac", roots, roots) + 1e-3 * np.eye(2)
+    seen |= {"position_covariance": position_covariance, "body_axis": body + 0.5 * deviations[2]}
+    seen |= {"observed_velocity": elsewhere, "observed_velocity_covariance": velocity_covariance}
     track = Track(1, np.arange(n), t, elsewhere, pixel=pixel, inputs={"group": group}, **seen)
     velocity = speeds[:, None] * np.column_stack([np.cos(directions), np.sin(directions)])
     return States(position, velocity, body, head), track
@@ -284,9 +322,18 @@ def every_situation(case: Case, count: int = 16) -> Iterator[tuple[States, Track
 
 def seen_by(case: Case, track: Track) -> Track:
     """The track with no orientations but those that the case sees."""
-    channels = ("pixel", "body", "head", "body_likelihood", "head_likelihood")
+    channels = (
+        "pixel",
+        "body",
+        "head",
+        "body_likelihood",
+        "head_likelihood",
+        "body_axis",
+        *ELLIPSES["channels"],
+    )
+    channels += VELOCITIES[1:]
     inputs = track.inputs | ({"head_rate": np.array(case.rates, float)} if case.rates else {})
-    unseen = {name: None for name in channels if name not in case.channels}
+    unseen = {name: None for name in channels if name not in (*case.channels, "position")}
     return replace(track, inputs=dict(inputs), **unseen)
 
 

@@ -40,7 +40,10 @@ TIME, SPACE, KEYPOINTS, INDIVIDUALS = "time", "space", "keypoints", "individuals
 FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
     dict.fromkeys((name for name in FIELDS if name not in ("t", "position")), ())
     | {
+        "position_covariance": (SPACE, "other_space"),
         "pixel": ("image",),
+        "observed_velocity": (SPACE,),
+        "observed_velocity_covariance": (SPACE, "other_space"),
         "velocity": (SPACE,),
         "true_position": (SPACE,),
         "body_likelihood": ("body_class",),
@@ -50,8 +53,11 @@ FURTHER: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Attribute of a `Track` → dimensions of its variable of that name other than time and individuals."""
 
-LENGTHS = ("position_std", "velocity", "true_position")
-"""Variables in the unit of the positions, or in that unit a second."""
+LENGTHS = {
+    **dict.fromkeys(("position_std", "velocity", "observed_velocity", "true_position"), 1),
+    **dict.fromkeys(("position_covariance", "observed_velocity_covariance"), 2),
+}
+"""Variables in the unit of the positions, or in that unit a second, and the power of it."""
 
 HAS_ROW = "has_row"
 """Variable (time, individuals), a mask of rows, used if some rows have no position."""
@@ -242,7 +248,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     if unit is not None:
         metre = METRES[unit]
         points = points * metre
-        channels |= {name: channels[name] * metre for name in LENGTHS if name in channels}
+        channels |= {n: channels[n] * metre**power for n, power in LENGTHS.items() if n in channels}
     else:
         channels = {name: values for name, values in channels.items() if name not in LENGTHS}
     names = read.names(KEYPOINTS, "keypoint_")
@@ -513,6 +519,8 @@ def to_movement(tracks: TrackSet) -> xarray.Dataset:
     InputError
         If the package xarray is not installed.
     """
+    if any(track.sensor is not None for track in tracks):
+        raise InputError("rows of several sensors", "one row of a person at a time (--resample-hz)")
     xr = package("xarray", EXTRA)
     grid = _Grid(tracks)
     names = {} if tracks.as_read is None else tracks.as_read.names

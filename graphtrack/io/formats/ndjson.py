@@ -25,7 +25,9 @@ from graphtrack.io.source import Source
 from graphtrack.tracks.cells import Cells, Columns
 from graphtrack.tracks.schema import (
     INTEGERS,
+    NEEDED,
     NO_CLASS,
+    TEXTS,
     Column,
     expected_group,
     expected_integer,
@@ -34,6 +36,7 @@ from graphtrack.tracks.schema import (
     together,
 )
 from graphtrack.tracks.time import date_texts
+from graphtrack.tracks.validation import SENSOR_NAME, is_sensor_name
 
 _ENCODED = json.JSONEncoder(allow_nan=False).encode
 
@@ -83,7 +86,7 @@ def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | No
         column = numeric(name)
         if name in INTEGERS:
             found.append((name, -INTEGERS[name], INTEGERS[name], True))
-        elif column is None or name.endswith("_p0"):  # the probabilities of classes must not all be 0
+        elif column is None or name in NEEDED or name.endswith("_p0"):  # class likelihoods are not all 0
             return None
         else:
             found.append((name, column.bounds.low, column.bounds.high, False))
@@ -185,12 +188,19 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
         if column is not None:
             within = type(value) is float and column.bounds.low < value < column.bounds.high
             cells[name] = value if within else _number(column, value)
-        elif name == "label":
+        elif name in TEXTS:
             if not isinstance(value, str) or isinstance(value, _Literal):
                 raise InputError(_shown(value), "text or null", column=name)
+            if name == "sensor" and not is_sensor_name(value):
+                raise InputError(_shown(value), SENSOR_NAME, column=name)
             cells[name] = value
     for group in together(tuple(cells)):
         _check_group(group, cells)
+    for name, needed in NEEDED.items():
+        if name in cells:
+            missing = next((one for one in needed if one not in cells), None)
+            if missing is not None:
+                raise InputError("an empty cell", f"{missing} next to {name}", column=missing)
     return cells
 
 

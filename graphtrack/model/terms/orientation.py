@@ -105,6 +105,15 @@ def doubtful_angle(now: Any, cos: Any, sin: Any, kappa: Any, uniform: Any) -> Co
     return Cost(observed_angle(now, cos, sin, kappa), loss)
 
 
+def observed_axis(now: Any, cos: Any, sin: Any, kappa: Any) -> list[Any]:
+    """Return the residuals of κ/4·(1 − cos 2Δ), of an angle that is observed up to a half turn.
+
+    ``cos`` and ``sin`` are of twice the observed angle. Near either end the curvature is κ.
+    """
+    root, c, s = sympy.sqrt(kappa) / 2, sympy.cos(now.angle), sympy.sin(now.angle)
+    return [root * (c**2 - s**2 - cos), root * (2 * c * s - sin)]
+
+
 def _observed_classes(n: int) -> CostFunction:
     def cost(now: Any, heights: Any, kappa: Any) -> Cost:
         """Return −log of a mixture of von Mises densities and a uniform one.
@@ -158,6 +167,15 @@ def _observed(name: Orientation) -> tuple[Kernel, ...]:
     )
 
 
+OBSERVED_AXIS = Kernel(
+    observed_axis,
+    "body_axis_kappa",
+    ("body",),
+    angle="body",
+    names={"cos": "body_axis_cos", "sin": "body_axis_sin", "kappa": "body_axis_kappa"},
+)
+
+
 def _fields(name: Variable) -> tuple[Field, ...]:
     return (
         Field(f"observed_{name}_cos", f"direction and concentration of an observed {name} angle"),
@@ -185,7 +203,8 @@ class _PoseLikelihood(Term):
         observed = step.observation
         angle, kappa = getattr(observed, self.name), getattr(observed, f"{self.name}_kappa")
         by_class = getattr(observed, f"{self.name}_likelihood") is not None
-        if by_class or self.parameters.likelihood.outlier_probability > 0.0:
+        by_axis = self.name == "body" and observed.body_axis is not None
+        if by_class or by_axis or self.parameters.likelihood.outlier_probability > 0.0:
             return self.derived_factors(step)
         (kappa,) = self._kappas(kappa, 1).tolist()
         if angle is None or kappa == 0.0:
@@ -237,14 +256,31 @@ class _PoseLikelihood(Term):
 
 
 class BodyLikelihood(_PoseLikelihood):
-    """Likelihood of the body's orientation (Chen et al. 2011, eq. 14, smooth)."""
+    """Likelihood of the body's orientation (Chen et al. 2011, eq. 14, smooth), or of its axis."""
 
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
     reads = _reads("body")
-    fields = _fields("body")
-    kernels = _observed("body")
+    fields = (
+        *_fields("body"),
+        Field("body_axis_cos", "of twice the observed axis of the body, and its concentration at an end"),
+        Field("body_axis_sin", ""),
+        Field("body_axis_kappa", ""),
+    )
+    kernels = (*_observed("body"), OBSERVED_AXIS)
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Pack observed angles or class likelihoods, and axes."""
+        super().pack(packed)
+        axis, records = packed.channel("body_axis"), packed.records
+        if axis is None:
+            return
+        known = np.isfinite(axis)
+        kappas = self._kappas(packed.channel("body_axis_kappa"), len(axis))
+        records["body_axis_kappa"] = np.where(known, kappas, 0.0)
+        twice = 2.0 * axis[known]
+        records["body_axis_cos"][known], records["body_axis_sin"][known] = np.cos(twice), np.sin(twice)
 
 
 class HeadLikelihood(_PoseLikelihood):

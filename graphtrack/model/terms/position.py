@@ -1,4 +1,4 @@
-"""The position likelihood, in metres or in pixels."""
+"""The likelihoods of an observed position, in metres or in pixels, and of an observed velocity."""
 
 from __future__ import annotations
 
@@ -67,12 +67,39 @@ def observed_pixel(
     return Cost(residuals, _loss(robust, robust_threshold))
 
 
+def observed_ellipse(
+    now: Any, x: Any, y: Any, root_xx: Any, root_xy: Any, root_yy: Any, robust: Any, robust_threshold: Any
+) -> Cost:
+    """Return the cost of an observed position with a full covariance, by the root of its inverse."""
+    right, up = now.x - x, now.y - y
+    return Cost([root_xx * right + root_xy * up, root_yy * up], _loss(robust, robust_threshold))
+
+
+def observed_velocity(now: Any, vx: Any, vy: Any, root_xx: Any, root_xy: Any, root_yy: Any) -> list[Any]:
+    """Return the residuals of an observed velocity, by the root of its inverse covariance."""
+    right, up = now.vx - vx, now.vy - vy
+    return [root_xx * right + root_xy * up, root_yy * up]
+
+
 OBSERVED_POSITION = Kernel(
     observed_position,
     gate="position_information",
     variables=("position",),
-    unless="pixel_information",
+    unless="position_replaced",
     names={"information": "position_information"},
+)
+_ROOT = ("xx", "xy", "yy")
+OBSERVED_ELLIPSE = Kernel(
+    observed_ellipse,
+    gate="ellipse_xx",
+    variables=("position",),
+    names={f"root_{part}": f"ellipse_{part}" for part in _ROOT},
+)
+OBSERVED_VELOCITY = Kernel(
+    observed_velocity,
+    gate="velocity_xx",
+    variables=("velocity",),
+    names={f"root_{part}": f"velocity_{part}" for part in _ROOT} | {"vx": "observed_vx", "vy": "observed_vy"},
 )
 OBSERVED_PIXEL = Kernel(
     observed_pixel,
@@ -83,13 +110,28 @@ OBSERVED_PIXEL = Kernel(
 )
 
 
+def _roots(covariance: FloatArray) -> FloatArray:
+    """Return the upper triangles R (n, 3), as xx, xy, yy, of RᵀR = inverses of covariances (n, 2, 2)."""
+    variance, both = covariance[:, 1, 1], covariance[:, 0, 1]
+    xx = 1.0 / np.sqrt(covariance[:, 0, 0] - both**2 / variance)
+    return np.stack([xx, -xx * both / variance, 1.0 / np.sqrt(variance)], axis=1)
+
+
+def _gaussian(covariance: FloatArray) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+
 class PositionLikelihood(Term):
-    """Gaussian in metres, or in pixels through the camera (Chen et al. 2011, eq. 12); robust by option."""
+    """Gaussian in metres, or in pixels through the camera (Chen et al. 2011, eq. 12); robust by option.
+
+    A position may have a full covariance. An observed velocity is Gaussian.
+    """
 
     repeats = True
     reads = (
         "likelihood.position_std",
         "likelihood.position_scale",
+        "likelihood.velocity_std",
         "likelihood.pixel_std",
         "likelihood.image_frame",
         "likelihood.robust",
@@ -99,6 +141,15 @@ class PositionLikelihood(Term):
         Field("x", "observed position in the world, metres"),
         Field("y", ""),
         Field("position_information", "1/σ²; 0: no position was observed"),
+        Field("position_replaced", "1 where a pixel or an ellipse is in place of that"),
+        Field("ellipse_xx", "root of the inverse covariance of a position, upper triangle"),
+        Field("ellipse_xy", ""),
+        Field("ellipse_yy", ""),
+        Field("observed_vx", "observed velocity, m/s"),
+        Field("observed_vy", ""),
+        Field("velocity_xx", "root of the inverse covariance of an observed velocity"),
+        Field("velocity_xy", ""),
+        Field("velocity_yy", ""),
         Field("u", "observed pixel without the lens"),
         Field("v", ""),
         Field("pixel_information", "1/σ² in pixels⁻²; 0: no likelihood in pixels"),
@@ -108,22 +159,36 @@ class PositionLikelihood(Term):
         Field("robust_threshold", "standard deviations"),
         Field("to_image", "from metres about the world's origin to ideal pixels", (3, 3)),
     )
-    kernels = (OBSERVED_POSITION, OBSERVED_PIXEL)
+    kernels = (OBSERVED_POSITION, OBSERVED_PIXEL, OBSERVED_ELLIPSE, OBSERVED_VELOCITY)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """A native prior in metres; in pixels, one from the kernel."""
+        """Native priors in metres; in pixels, one from the kernel."""
         likelihood, observed = self.parameters.likelihood, step.observation
         if likelihood.image_frame and observed.pixel is not None and step.camera is not None:
             return self.derived_factors(step)
-        if observed.position is None:
-            return []
-        (std,) = likelihood.position_stds(observed.position_std, 1).tolist()
-        noise = robust_noise(gtsam.noiseModel.Isotropic.Sigma(2, std), likelihood)
-        return [gtsam.PriorFactorPoint2(step.position_key, np.array(observed.position), noise)]
+        found: list[gtsam.NonlinearFactor] = []
+        if observed.position is not None:
+            if observed.position_covariance is not None:
+                noise = _gaussian(likelihood.position_scale**2 * np.array(observed.position_covariance))
+            else:
+                (std,) = likelihood.position_stds(observed.position_std, 1).tolist()
+                noise = gtsam.noiseModel.Isotropic.Sigma(2, std)
+            at = np.array(observed.position)
+            found.append(gtsam.PriorFactorPoint2(step.position_key, at, robust_noise(noise, likelihood)))
+        if observed.observed_velocity is not None:
+            if observed.observed_velocity_covariance is not None:
+                noise = _gaussian(np.array(observed.observed_velocity_covariance))
+            else:
+                noise = gtsam.noiseModel.Isotropic.Sigma(2, likelihood.velocity_std)
+            at = np.array(observed.observed_velocity)
+            found.append(gtsam.PriorFactorPoint2(step.velocity_key, at, noise))
+        return found
 
     def is_linear(self, packed: PackedTracks) -> bool:
-        """True without a robust loss and in metres."""
-        return not packed.shared["robust"][0] and not packed.records["pixel_information"].any()
+        """True without a robust loss, in metres, of positions alone whose axes are alike."""
+        records = packed.records
+        further = records["position_replaced"].any() or records["velocity_xx"].any()
+        return not packed.shared["robust"][0] and not further
 
     def live(self, observed: Observation) -> Iterable[tuple[str, float]]:
         """The observed position."""
@@ -139,6 +204,8 @@ class PositionLikelihood(Term):
         if not packed.has_position.all():
             for name in ("x", "y", "position_information"):
                 records[name][~packed.has_position] = 0.0
+        self._pack_ellipses(packed)
+        self._pack_velocities(packed)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
         packed.shared["robust_threshold"] = likelihood.robust_threshold
         pixel, camera = packed.channel("pixel"), packed.camera
@@ -149,3 +216,30 @@ class PositionLikelihood(Term):
         observed = np.isfinite(pixel).all(axis=1)
         records["u"][observed], records["v"][observed] = camera.undistort(pixel[observed]).T
         records["pixel_information"][observed] = likelihood.pixel_std**-2
+        records["position_replaced"][observed], records["ellipse_xx"][observed] = 1.0, 0.0
+
+    def _pack_ellipses(self, packed: PackedTracks) -> None:
+        covariance, records = packed.channel("position_covariance"), packed.records
+        if covariance is None:
+            return
+        known = packed.has_position & np.isfinite(covariance).all(axis=(1, 2))
+        scaled = self.parameters.likelihood.position_scale**2 * covariance[known]
+        for name, values in zip(_ROOT, _roots(scaled).T, strict=True):
+            records[f"ellipse_{name}"][known] = values
+        # Of a circle with the mean variance, where a start is wanted.
+        records["position_information"][known] = 2.0 / np.trace(scaled, axis1=1, axis2=2)
+        records["position_replaced"][known] = 1.0
+
+    def _pack_velocities(self, packed: PackedTracks) -> None:
+        velocity, records = packed.channel("observed_velocity"), packed.records
+        if velocity is None:
+            return
+        known = np.isfinite(velocity).all(axis=1)
+        covariance = np.tile(self.parameters.likelihood.velocity_std**2 * np.eye(2), (int(known.sum()), 1, 1))
+        declared = packed.channel("observed_velocity_covariance")
+        if declared is not None:
+            given = np.isfinite(declared[known]).all(axis=(1, 2))
+            covariance[given] = declared[known][given]
+        for name, values in zip(_ROOT, _roots(covariance).T, strict=True):
+            records[f"velocity_{name}"][known] = values
+        records["observed_vx"][known], records["observed_vy"][known] = velocity[known].T
