@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
+    from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Cost, Model, Observation, Parameters, Term, chord, presets, term
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from graphtrack.smoothing import smooth, solve
     from graphtrack.tracking import OnlineTracker, track_online, warm_up
     from graphtrack.tracks.scene import SceneParameters
+    from graphtrack.tracks.sensors import Sensor
     from graphtrack.tracks.track import ReadSummary, Track, TrackSet
     from graphtrack.viewer.shown import view
 
@@ -68,6 +70,8 @@ __all__ = [
     "ReadOptions",
     "ReadSummary",
     "SceneParameters",
+    "Sensor",
+    "SensorScene",
     "SequenceScore",
     "Solution",
     "SolveError",
@@ -130,6 +134,7 @@ _HOMES = {
     "io.options": "ReadOptions",
     "io.outputs": "to_polars to_supervision",
     "io.read_write": "write",
+    "io.sensors": "SensorScene",
     "io.formats.movement": "from_movement to_movement",
     "io.formats.pedpy": "from_pedpy to_pedpy",
     "io.libraries": "to_geopandas",
@@ -140,6 +145,7 @@ _HOMES = {
     "smoothing": "smooth solve",
     "tracking": "OnlineTracker track_online warm_up",
     "tracks.scene": "SceneParameters",
+    "tracks.sensors": "Sensor",
     "tracks.track": "ReadSummary Track TrackSet",
     "viewer.shown": "view",
 }

@@ -111,6 +111,7 @@ class MetricReading:
     fps : Frames a second, if the file has no times.
     format : Force the input's format; see 'graphtrack formats'.
     select : Only tracks whose label or id matches this pattern, such as '*walk*'; repeat for more.
+    sensors : Description of the sensors (.toml); their rows are corrected for the known errors.
     max_memory : GiB that the content of a file may take; by default 4, and no more than 200 times the file's
         size (or 64 MiB), since a small file can unpack to any size.
 
@@ -138,6 +139,7 @@ class MetricReading:
     fps: float | None = None
     format: str | None = None
     select: Annotated[list[str] | None, typer.Option(metavar="PATTERN")] = None
+    sensors: InputFile | None = None
     max_memory: Annotated[float | None, typer.Option(metavar="GIB")] = None
     columns: Annotated[str | None, typer.Option(metavar="KEY=NAME,...")] = None
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = None
@@ -162,7 +164,8 @@ class MetricReading:
 
         paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
-        named |= {option_name(name): given[name] for name in _CAMERA_FILES if name in given}
+        files = (*_CAMERA_FILES, "sensors")
+        named |= {option_name(name): given[name] for name in files if name in given}
         named["a companion file of the input"] = [place for path in paths for place in companion_files(path)]
         return named
 

@@ -12,6 +12,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.limits import MemoryLimit
+from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
 from graphtrack.tracks.cells import WILD, Layout
 from graphtrack.tracks.schema import is_column
@@ -107,6 +108,7 @@ class ReadingBase(TypedDict, total=False):
     encoding: str | None
     topic: str | Sequence[str] | None
     fixed_frame: str | None
+    sensors: SensorsLike | None
     reference: AsRead | None
     max_memory: float | None
 
@@ -159,6 +161,7 @@ class ReadOptions:
     topic : of a ROS 2 recording, the topic with people, or a pattern; several, whose identities are kept
         apart by the names of the topics
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
+    sensors : descriptions of the sensors by name, or their file; rows are corrected for the errors
     reference : layout of another table with the same origins of time and local metres
     max_memory : GiB that the content of the file may take; None: 4, and no more than 200 times the size of
         the file, or 64 MiB where that is more
@@ -185,6 +188,7 @@ class ReadOptions:
     encoding: str | None = None
     topic: str | Sequence[str] | None = None
     fixed_frame: str | None = None
+    sensors: SensorsLike | None = None
     reference: AsRead | None = None
     max_memory: float | None = None
 
@@ -205,6 +209,7 @@ class ReadOptions:
             found = f"delimiter and decimal {self.delimiter!r}"
             raise InputError(found, "two different marks, such as --delimiter ';' --decimal ,")
         check_encoding(self.encoding)
+        object.__setattr__(self, "sensors", self.sensor_scene)
         self.layout()
 
     @classmethod
@@ -226,6 +231,11 @@ class ReadOptions:
     def topics(self) -> tuple[str, ...]:
         """The topics that were asked for, or patterns."""
         return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
+
+    @property
+    def sensor_scene(self) -> SensorScene | None:
+        """The descriptions of the sensors; None without them."""
+        return None if self.sensors is None else SensorScene.of(self.sensors)
 
     def layout(self) -> Layout | None:
         """Return the columns and units of a table; None for the native table.

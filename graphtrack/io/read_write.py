@@ -27,6 +27,7 @@ from graphtrack.io.registry import (
     format_named,
     hint_for,
 )
+from graphtrack.io.sensors import absent_note, names_in, with_known_sensors
 from graphtrack.io.source import Source, place_of, sequence_file, table_in
 from graphtrack.io.text import in_utf8
 from graphtrack.tracks.cells import Cells, Layout, cells_of_frame, rows_of_cells
@@ -147,7 +148,8 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     """Return the rows of a table in memory; see `read_identified`."""
-    return rows_of_table(cells_of_frame(table), options)
+    rows = with_known_sensors(rows_of_table(cells_of_frame(table), options), options.sensor_scene)
+    return rows.with_notes(*absent_note(options.sensor_scene, names_in(rows)))
 
 
 def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -> Rows:
@@ -181,9 +183,14 @@ def read_with(
     if not paths:
         raise InputError("no paths", "at least one")
     sets: list[TrackSet] = []
+    sensors: set[str] = set()
     check_read_once([place_of(one) for one in paths])
     for one in paths:
-        sets.append(to_tracks(rows_of_file(one, format, options), options))
+        rows = _corrected_rows(one, format, options)
+        sensors |= names_in(rows)
+        if len(sets) == len(paths) - 1:
+            rows = rows.with_notes(*absent_note(options.sensor_scene, sensors))
+        sets.append(to_tracks(rows, options))
         options = replace(options, reference=options.reference or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
@@ -255,7 +262,13 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     """Return the rows of a file, or of a folder that stands for one, in metres and with times."""
-    rows = _rows_of_file(path, format, options)
+    rows = _corrected_rows(path, format, options)
+    return rows.with_notes(*absent_note(options.sensor_scene, names_in(rows)))
+
+
+def _corrected_rows(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
+    """Return the rows of a file without the known errors of their sensors."""
+    rows = with_known_sensors(_rows_of_file(path, format, options), options.sensor_scene)
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
 

@@ -255,7 +255,7 @@ def table_in(path: Path) -> Path:
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
     """Return the content of a TOML file; ``expected`` describes it in messages.
 
-    Raise InputError for a file that cannot be read, or is of another kind that ``graphtrack fit`` writes.
+    Raise InputError for a file that cannot be read, or is of another kind that graphtrack has.
     """
     try:
         with Path(path).open(encoding="utf-8") as stream:
@@ -283,6 +283,7 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
 
 _KINDS = {
     "a model file (for --model)": ("preset", "motion", "orientation", "likelihood", "social", "scene"),
+    "a description of sensors (for --sensors)": ("sensors",),
     "a file of constants (for --constants)": ("acceleration_density", "body_diffusion", "head_diffusion"),
     "the output of 'graphtrack fit --forecast' (for graphtrack forecast --parameters)": ("forecast",),
     "the output of 'graphtrack fit --groups' (for graphtrack groups --parameters)": ("groups",),

@@ -119,6 +119,8 @@ def associate_dataset(
         raise dataset.fail("a column sensor", expected, column="sensor")
     columns = tuple(name for name in dataset.columns if name not in ("track_id", "label"))
     options = ReadOptions() if read_options is None else read_options
+    if options.sensors is not None:
+        raise dataset.fail("a description of sensors when streaming", "smooth --no-stream")
     wanted = ("frame", "x", "y") if options.fps else ("frame", "t", "x", "y")
     missing = next((name for name in wanted if name not in columns), None)
     if missing is not None:

@@ -118,6 +118,8 @@ def smooth_dataset(
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
     check_names(dataset.columns, read_options.fps, dataset.fail)
+    if read_options.sensors is not None:
+        raise dataset.fail("a description of sensors when streaming", "smooth --no-stream")
     if "x" not in dataset.columns:
         raise dataset.fail(
             "pixels u, v without x, y", "positions in metres, to stream a data set", column="x"
