@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, unit, wrap
+from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import check_numbers, check_within, number
@@ -84,6 +84,45 @@ def crowd(
     if not tracks:
         raise InputError("a scene without people", "more seconds or arrivals")
     return TrackSet(tuple(tracks))
+
+
+def crossing(
+    rng: np.random.Generator, *, people: int, seconds: float, fps: float, side: float = 20.0
+) -> TrackSet:
+    """Simulate people who cross a square about the origin, with bodies and heads, and their truth.
+
+    The paths are those of `crowd`. Bodies follow the course with a lag and keep it while a person stands;
+    heads turn ahead of it, and glance to the side. Raise InputError for a scene without people.
+
+    Parameters
+    ----------
+    people : mean number of people
+    seconds, fps : length of the scene, and frames a second
+    side : of the square, m
+    """
+    check_within(1e-3, 1e6, seconds=seconds, fps=fps)
+    place = CrossedArea(width=side, depth=side)
+    place = replace(place, arrivals=people / (seconds * (1.0 + place.pairs)))
+    return crowd(rng, place=place, seconds=seconds, fps=fps).map(lambda track: _oriented(track, fps, rng))
+
+
+def _oriented(track: Track, fps: float, rng: np.random.Generator) -> Track:
+    """Return an exact track with body, head and its truth."""
+    habits, n = StrollerParameters(), len(track)
+    position = track.position
+    velocity = np.gradient(position, track.t, axis=0) if n > 1 else np.zeros((1, 2))
+    moves = np.flatnonzero(np.hypot(*velocity.T) > _STANDING)
+    # Of a person at rest the last course, before any motion the first one.
+    last = moves[np.maximum(np.searchsorted(moves, np.arange(n), side="right") - 1, 0)] if len(moves) else 0
+    course = np.unwrap(direction(velocity)[last] + np.zeros(n))
+    body = _lagged(course, habits.body_lag, 1.0 / fps)
+    ahead = np.interp(track.t + habits.head_lead, track.t, course)
+    head = wrap(_lagged(ahead, 0.1, 1.0 / fps) + _glances(track.t, habits, rng))
+    body = wrap(body)
+    return replace(track, body=body, head=head, true_position=position, true_body=body, true_head=head)
+
+
+_STANDING = 0.3  # m/s below which the direction of motion is that of noise
 
 
 def _edge(rng: np.random.Generator, place: CrossedArea, side: int) -> FloatArray:
@@ -290,11 +329,7 @@ def _stroll(
         angle = rng.choice([-90.0, 90.0, 180.0]) * np.pi / 180.0
         length = rng.uniform(3.0, 8.0)
         aside += angle * (_ramp(t, begin, 0.8) - _ramp(t, begin + length, 0.8))
-    glance = np.zeros_like(t)
-    for begin in _times(t, habits.glances_per_minute, rng):
-        length = rng.uniform(habits.glance_low, habits.glance_high)
-        angle = np.clip(habits.glance_std * rng.standard_normal(), -0.5 * np.pi, 0.5 * np.pi)
-        glance += angle * (_ramp(t, begin, 0.3) - _ramp(t, begin + length - 0.3, 0.3))
+    glance = _glances(t, habits, rng)
     phase, pace = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.85, 1.05)
     step = moving * np.sin(2.0 * np.pi * pace * t + phase)
     wander = np.radians(4.0) * _smooth_noise(t, 2.0, rng)
@@ -312,6 +347,16 @@ def _stroll(
     )
 
 
+def _glances(t: FloatArray, habits: StrollerParameters, rng: np.random.Generator) -> FloatArray:
+    """Return the angles (n,) of glances to the side at the times ``t``."""
+    glance = np.zeros_like(t)
+    for begin in _times(t, habits.glances_per_minute, rng):
+        length = rng.uniform(habits.glance_low, habits.glance_high)
+        angle = np.clip(habits.glance_std * rng.standard_normal(), -0.5 * np.pi, 0.5 * np.pi)
+        glance += angle * (_ramp(t, begin, 0.3) - _ramp(t, begin + length - 0.3, 0.3))
+    return glance
+
+
 def _times(t: FloatArray, per_minute: float, rng: np.random.Generator) -> list[float]:
     """Return event times of a Poisson process over the times ``t``."""
     seconds = float(t[-1] - t[0])
@@ -324,11 +369,11 @@ def _ramp(t: FloatArray, begin: float, length: float) -> FloatArray:
     return 0.5 - 0.5 * np.cos(np.pi * np.clip((t - begin) / length, 0.0, 1.0))
 
 
-def _lagged(angle: FloatArray, lag: float) -> FloatArray:
-    """Filter unwrapped angles with a first-order lag in seconds."""
+def _lagged(angle: FloatArray, lag: float, step: float = _STROLLER_GRID) -> FloatArray:
+    """Filter unwrapped angles, one every ``step`` seconds, with a first-order lag in seconds."""
     if lag == 0.0:
         return angle
-    keep = float(np.exp(-_STROLLER_GRID / lag))
+    keep = float(np.exp(-step / lag))
     followed: FloatArray = angle[0] + lfilter([1.0 - keep], [1.0, -keep], angle - angle[0])
     return followed
 

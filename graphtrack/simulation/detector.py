@@ -128,7 +128,7 @@ def detect(
         window = rng.random(len(track)) < detector.missed
         people.append(withhold(track, window | hidden.get(track.track_id, False), OBSERVED))
     false = _false_detections(noisy, people, detector, rng)
-    return Detected(noisy.with_tracks([*people, *false]), exact.map(_as_truth))
+    return Detected(noisy.with_tracks([*people, *false]), exact.map(as_truth))
 
 
 def sampled(tracks: TrackSet, every: float) -> TrackSet:
@@ -174,11 +174,17 @@ def _sampled_track(track: Track, grid: FloatArray, every: float) -> Track | None
     for name in ("position", "true_position", "body", "head", "true_body", "true_head"):
         values = getattr(track, name)
         if values is not None:
-            channels[name] = _between(track.t, values, grid[frame], slack, angle=values.ndim == 1)
+            channels[name] = interpolated(track.t, values, grid[frame], slack, angle=values.ndim == 1)
     return Track(track.track_id, frame, grid[frame], label=track.label, **channels)
 
 
-def _between(t: FloatArray, values: FloatArray, at: FloatArray, slack: float, *, angle: bool) -> FloatArray:
+def interpolated(
+    t: FloatArray, values: FloatArray, at: FloatArray, slack: float, *, angle: bool
+) -> FloatArray:
+    """Return values (n, ...) known at times ``t`` at other times, linearly, angles the shorter way round.
+
+    NaN more than ``slack`` seconds before the first known value or after the last one.
+    """
     known = np.asarray(np.isfinite(values.reshape(len(t), -1)).all(axis=1))
     columns = values[known].reshape(known.sum(), -1)
     if not len(columns):
@@ -191,7 +197,7 @@ def _between(t: FloatArray, values: FloatArray, at: FloatArray, slack: float, *,
     return wrap(found[:, 0]) if angle else found
 
 
-def _as_truth(track: Track) -> Track:
+def as_truth(track: Track) -> Track:
     """Return the track with only its true values as observations."""
     true = {name: getattr(track, f"true_{name}") for name in ("body", "head")}
     values = {name: getattr(track, name) if value is None else value for name, value in true.items()}

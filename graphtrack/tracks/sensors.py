@@ -231,6 +231,11 @@ class SimulatedSensor(_Described):
         if self.way is not None and self.path is not None:
             raise InputError("way and path", "one of them")
 
+    @property
+    def has_way(self) -> bool:
+        """Return whether the way of a moving sensor is known."""
+        return self.way is not None or self.path is not None
+
 
 @dataclass(frozen=True)
 class Sensor(_Described):
@@ -283,6 +288,8 @@ class Sensor(_Described):
         super().__post_init__()
         if self.simulation is not None and not isinstance(self.simulation, SimulatedSensor):
             raise InputError(f"simulation = {self.simulation!r}"[:80], "a SimulatedSensor")
+        if self.simulation is not None and self.simulation.has_way and not self.moves:
+            raise InputError("way or path of a sensor that does not move", "moves = true")
         has_sector = self.range is not None or self.sector is not None
         if has_sector and self.field_of_view is not None:
             raise InputError("field_of_view with range or sector", "a polygon, or range and sector")
@@ -330,7 +337,7 @@ def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> 
 
 
 def into_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return points (n, 2) of the world in the frame of a pose (3,) or of poses (n, 3): x, y, yaw."""
+    """Return points (..., 2) of the world in the frames of poses (..., 3): x, y, yaw."""
     return np.asarray(_turned(points - pose[..., :2], -pose[..., 2]))
 
 

@@ -662,8 +662,11 @@ def channel_of(track: Track, field: str) -> FloatArray | None:
 
 def _cells(track: Track, column: Column) -> FloatArray:
     value = channel_of(track, column.field)
-    if value is None:
-        return np.full(len(track), np.nan)
+    return np.full(len(track), np.nan) if value is None else cells_of(value, column)
+
+
+def cells_of(value: FloatArray, column: Column) -> FloatArray:
+    """Return the cells (n,) of a column, of the channel that it belongs to."""
     place: tuple[Any, ...] = (..., *column.index)
     cells: FloatArray = value[place]
     if column.part == "deviation":
