@@ -171,7 +171,8 @@ def prepare(
         tracks, more = with_missing_frames(tracks)
         notes += more
     if resample is not None:
-        tracks = with_times_at(tracks, resample)
+        tracks, more = with_times_at(tracks, resample)
+        notes += more
     make_smoothing_ready(model, engine, tracks.camera, constants, trust)
     observed, model, verdict = trusted(tracks, model, trust, constants)
     notes = (*notes, *verdict)

@@ -62,7 +62,7 @@ def test_filling_changes_nothing_elsewhere():
 @pytest.mark.parametrize("hz", [3.0, 10.0, 20.0, 25.0])
 def test_estimates_at_another_rate_are_those_of_a_model_without_these_frames(hz):
     tracks = gt.TrackSet((walk(), walk(50, 1, 2)))
-    found = at_times(gt.smooth(with_times_at(tracks, hz), "position"), hz, 0.0)
+    found = at_times(gt.smooth(with_times_at(tracks, hz)[0], "position"), hz, 0.0)
     for track, one in zip(tracks, found, strict=True):
         np.testing.assert_allclose(one.t, one.frame / hz, atol=1e-6)
         assert one.t[0] == 0.0 and track.t[-1] - one.t[-1] < 1.0 / hz
@@ -74,6 +74,17 @@ def test_estimates_at_another_rate_are_those_of_a_model_without_these_frames(hz)
     for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e12):
         with pytest.raises(InputError, match="Hz"):
             with_times_at(tracks, wrong)
+
+
+def test_tracks_between_the_times_of_another_rate_are_left_out_with_a_note():
+    short = walk()[3:4]
+    assert short.t[0] == pytest.approx(0.3)
+    tracks = gt.TrackSet((short, walk(50, 1, 2)))
+    found, notes = with_times_at(tracks, 2.5)
+    assert [one.track_id for one in found] == [2] and notes == (
+        "1 track between the times of 2.5 Hz left out",
+    )
+    assert [one.track_id for one in gt.smooth(tracks, "position", resample=2.5)] == [2]
 
 
 def test_the_command_fills_and_resamples(cwd):

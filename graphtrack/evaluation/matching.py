@@ -131,7 +131,7 @@ def at_shared_times(estimates: TrackSet, truth: TrackSet) -> tuple[TrackSet, Tra
 
     Rows are then compared at the times of the side with fewer rows a second, those without a row of it
     included. There each track has its row nearest in time, at most half of that track side's interval away;
-    what lies between is left out.
+    what lies between is left out, and so are tracks that lie between altogether.
 
     Returns
     -------
@@ -150,7 +150,9 @@ def at_shared_times(estimates: TrackSet, truth: TrackSet) -> tuple[TrackSet, Tra
     first, last = min(begin for begin, _ in spans), max(end for _, end in spans)
     instants = _instants(np.concatenate([track.t for track in coarse]), max(steps), first, last)
     found = [
-        side.with_tracks(_at_instants(track, instants, 0.5 * step) for track in side)
+        side.with_tracks(
+            at for track in side if (at := _at_instants(track, instants, 0.5 * step)) is not None
+        )
         for side, step in zip((estimates, truth), steps, strict=True)
     ]
     rates = " and ".join(f"{1.0 / step:.3g} Hz" for step in steps)
@@ -194,9 +196,11 @@ def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArr
     return np.sort(np.concatenate([before, known, *between, after]))
 
 
-def _at_instants(track: Track, instants: FloatArray, tolerance: float) -> Track:
-    """Return the rows of a track that are nearest to some instants (f,), numbered by them."""
+def _at_instants(track: Track, instants: FloatArray, tolerance: float) -> Track | None:
+    """Return the rows of a track that are nearest to some instants (f,), numbered by them; None: no row."""
     here, instant = nearest_times(track.t, instants, tolerance)
+    if not len(here):
+        return None
     order = np.lexsort((np.abs(track.t[here] - instants[instant]), instant))
     best = order[np.flatnonzero(np.diff(instant[order], prepend=-1))]
     return replace(track[here[best]], frame=instant[best])

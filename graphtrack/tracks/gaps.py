@@ -199,8 +199,10 @@ def _filled(track: Track, gaps: NDArray[np.int64], step: int) -> Track:
     return with_rows(track, frame, np.interp(frame, track.frame, track.t))
 
 
-def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
+def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...]]:
     """Insert a row at each multiple of 1/hz seconds from a track's first to its last time.
+
+    Tracks without such a time are left out.
 
     Parameters
     ----------
@@ -208,8 +210,8 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
 
     Returns
     -------
-    TrackSet
-        Tracks with new frame numbers; `at_times` selects the rows at the multiples from estimates.
+    tracks : with new frame numbers; `at_times` selects the rows at the multiples from estimates
+    notes : on tracks that were left out
     """
     if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
         shown = f"{hz:g}" if is_number(hz) else repr(hz)
@@ -220,7 +222,10 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
     if seconds * hz > _MOST_ROWS or last * hz > LARGEST_FRAME:
         found = f"{hz:g} Hz for {seconds:g} s of tracks"
         raise InputError(found, f"at most {_MOST_ROWS:,} rows: a lower rate, or fewer tracks")
-    return tracks.map(lambda track: _at_rate(track, origin, hz))
+    kept = [track for track in tracks if len(_ticks(track, origin, hz))]
+    lost = len(tracks) - len(kept)
+    notes = (f"{counted(lost, 'track')} between the times of {hz:g} Hz left out",) if lost else ()
+    return tracks.with_tracks(_at_rate(track, origin, hz) for track in kept), notes
 
 
 def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
@@ -234,10 +239,14 @@ def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
     return tracks.map(select)
 
 
+def _ticks(track: Track, origin: float, hz: float) -> NDArray[np.int64]:
+    """Return the whole multiples of 1/hz seconds after ``origin`` from a track's first to its last time."""
+    begin, end = track.t[0] - origin - TIME_TOLERANCE, track.t[-1] - origin + TIME_TOLERANCE
+    return np.arange(math.ceil(begin * hz), math.floor(end * hz) + 1)
+
+
 def _at_rate(track: Track, origin: float, hz: float) -> Track:
-    begin, end = track.t[0] - origin, track.t[-1] - origin
-    ticks = np.arange(math.ceil((begin - TIME_TOLERANCE) * hz), math.floor((end + TIME_TOLERANCE) * hz) + 1)
-    times = origin + ticks / hz
+    times = origin + _ticks(track, origin, hz) / hz
     after = np.clip(np.searchsorted(track.t, times), 0, len(track) - 1)
     apart = np.minimum(np.abs(times - track.t[after]), np.abs(times - track.t[np.maximum(after - 1, 0)]))
     t = np.concatenate([track.t, times[apart > TIME_TOLERANCE]])

@@ -208,6 +208,14 @@ def test_frames_without_estimates_are_missed():
     assert found.recall == pytest.approx(0.5, abs=0.02) and found.precision == 1.0
 
 
+def test_tracks_between_all_times_that_are_compared_are_left_out():
+    short = people(100)[0][3:4]
+    estimates = people(100, 0.03)
+    estimates = estimates.with_tracks([*estimates, replace(short, track_id=99)])
+    found = gt.score(estimates, people(10), metres=0.5).together
+    assert found.idf1 > 0.98 and found.precision == 1.0
+
+
 def test_the_command_says_that_it_compares_by_time(cwd):
     gt.write(people(10, 0.03), "found.csv")
     gt.write(people(100), "truth.csv")
