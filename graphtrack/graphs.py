@@ -13,6 +13,7 @@ from graphtrack.inference.graph.recording import recording_graph, recording_trac
 from graphtrack.model import Model
 from graphtrack.packages import gtsam
 from graphtrack.tracks.given import with_position_noise
+from graphtrack.tracks.sensors import Sensors
 from graphtrack.tracks.track import TrackSet
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def graph_of(
     model: Model | str | Path | None = None,
     *,
     constants: Mapping[int, PersonalConstants] | None = None,
+    sensors: Sensors | None = None,
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Return the factors of a recording, and the values from which the engines start.
 
@@ -39,6 +41,9 @@ def graph_of(
     model : as in `solve`; by default "joint"
     constants : by track id, those of people in place of the model's, such as `Solution.constants`. Of several
         couplings the most probable one is taken
+    sensors : descriptions for which the tracks' rows were corrected (`read` with ``sensors``). Errors that
+        are unknown or have a 1-σ are variables: of the k-th sensor ``gtsam.symbol("s", k)``, a vector of
+        these in the order of `ERRORS` (metres, radians, seconds)
 
     Raises
     ------
@@ -57,7 +62,7 @@ def graph_of(
     TrackSet(2 tracks, 400 person-frames, 0.0–19.9 s, body, head; estimates; truth)
     """
     given, models = _given(tracks, model, constants)
-    return recording_graph(given, models)
+    return recording_graph(given, models, sensors)
 
 
 def tracks_of(

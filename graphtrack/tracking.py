@@ -330,15 +330,18 @@ class OnlineTracker(DetectionTracker):
         return made, (self.state(),), left_out
 
     def update(
-        self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
+        self,
+        t: float,
+        detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]],
+        sensor: str | None = None,
     ) -> list[PersonEstimate]:
         """Add a frame's detections, as `DetectionTracker.update`; forecasts use them from then on."""
-        people = super().update(t, detections)
+        people = super().update(t, detections, sensor)
         # Observed positions: a forecast estimates their noise itself.
         self._present = [one.track_id for one in people]
         observed = [(one, self.newest[one.detection]) for one in people if one.observed]
         position = np.array([observation.position for _, observation in observed], float).reshape(-1, 2)
-        std = np.array([observation.position_std for _, observation in observed], float)  # None becomes NaN
+        std = np.array([observation.axis_std for _, observation in observed], float)  # None becomes NaN
         heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one, _ in observed]
         frame = t, [one.track_id for one, _ in observed], position, std, np.array(heads)
         if self._forecaster is None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -31,7 +32,7 @@ from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.table import Rows, check_identities
 from graphtrack.tracks.time import TIME_TOLERANCE
-from graphtrack.tracks.track import Track, TrackSet, to_columns
+from graphtrack.tracks.track import Track, TrackSet, of_axes, to_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,8 +113,9 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     scene : known parameters; the others are learned
     """
     # Rows of joined tracks may be out of order.
-    rows, detections = detections_of(rows.taken(np.argsort(rows.frame, kind="stable")))
-    known, place = np.unique(rows.track_id, return_inverse=True)
+    in_order = rows.frame if rows.sensor is None else rows.channels["t"]
+    rows, detections = detections_of(rows.taken(np.argsort(in_order, kind="stable")))
+    known, place = _given_identities(rows)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
     from graphtrack.association.offline import repair_detections
 
@@ -129,6 +131,23 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     note = f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed identity"
     return rows.with_notes(note, learned_scene(found.scene))
+
+
+def _given_identities(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the track ids of given identities, and the index of each row's (n,).
+
+    Trackers of several sensors have identities of their own: one that another sensor has too gets a new id.
+    """
+    if rows.sensor is None:
+        return np.unique(rows.track_id, return_inverse=True)
+    sensor = np.unique(rows.sensor, return_inverse=True)[1]
+    pairs = np.column_stack([sensor, rows.track_id])
+    different, place = np.unique(pairs, axis=0, return_inverse=True)
+    ids = different[:, 1].copy()
+    _, first = np.unique(ids, return_index=True)
+    again = np.setdiff1d(np.arange(len(ids)), first)
+    ids[again] = ids.max() + 1 + np.arange(len(again))
+    return ids, place.ravel()
 
 
 def learned_scene(scene: SceneParameters, when: str = "") -> str:
@@ -147,8 +166,13 @@ def usable(rows: Rows) -> Rows:
     noise = position_noise(rows.channels.get("position_std"), rows.channels.get("covariance"))
     if noise is not None and noise is not rows.channels.get("position_std"):
         rows = rows.with_channels(position_std=noise).with_notes(AXES)
-    _check_times(rows)
-    labelled = np.column_stack([rows.frame, rows.channels["position"]])
+    frames = rows.frame
+    if rows.sensor is None:
+        _check_times(rows)
+    else:
+        _, sensor = np.unique(rows.sensor, return_inverse=True)
+        frames = np.unique(np.column_stack([sensor, rows.frame]), axis=0, return_inverse=True)[1].ravel()
+    labelled = np.column_stack([frames, rows.channels["position"]])
     _, first = np.unique(labelled, axis=0, return_index=True)
     return rows.keep(np.isin(np.arange(len(rows)), first), REPEATED)
 
@@ -180,6 +204,20 @@ def detections_of(rows: Rows) -> tuple[Rows, Detections]:
     """The usable rows, and their channels that the evidence reads."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
+    if "position_covariance" in rows.channels:
+        std = of_axes(rows.channels.get("position_std"), rows.channels["position_covariance"])
+        assert std is not None
+        channels["position_std"] = std
+    if rows.sensor is not None:
+        from graphtrack.association.sensors import Views, scans_of, with_views
+
+        names, sensor = np.unique(rows.sensor, return_inverse=True)
+        scans = scans_of(rows.channels["t"], rows.frame, sensor)
+        position = rows.channels["position"]
+        own = scans.number
+        of_sensors: dict[str, Any] = {"sensor": sensor, "scans": scans.before[own]}
+        detections = Detections(own, scans.ordered[own], position, channels, **of_sensors)
+        return rows, with_views(detections, Views.of(position, sensor, len(names)))
     _, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
     t = rows.channels["t"][first][place]  # of its frame: rounding must not change the order within it
     return rows, Detections(rows.frame, t, rows.channels["position"], channels)
@@ -190,6 +228,8 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
     ``longest_filled``: seconds of a gap that is filled
     """
+    if any(track.sensor is not None for track in tracks):
+        return tracks  # each sensor has frames of its own
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
     step = frames_between(frames)

@@ -26,6 +26,8 @@ from graphtrack.association.likelihood import (
     head_worth,
     is_new,
     is_within,
+    log_at_least,
+    log_between,
     log_end,
     log_gap,
     reach,
@@ -63,6 +65,7 @@ FRAME_GROUP = np.dtype(
         ("cells_y", np.int64),
         ("first_cell", np.int64),
         ("first_frame", np.int64),
+        ("first", np.int64),  # its first detection
     ]
 )
 """Detections of consecutive frames, and the grid that they lie in."""
@@ -96,6 +99,8 @@ def grid_of(chains: Chains, detections: IntArray, columns: IntArray) -> Grid:
     for i in range(n):
         row, g = chains.rows[detections[columns[i]]], group[i]
         one = groups[g]
+        if sizes[g] == 0:
+            one.first = detections[columns[i]]
         one.earliest, one.latest = min(one.earliest, row.t), max(one.latest, row.t)
         one.greatest_variance = max(one.greatest_variance, row.variance)
         one.least_variance = min(one.least_variance, row.variance)
@@ -148,6 +153,7 @@ def near_detections(
     state: State,
     t: float,
     frame: int,
+    head: int,
     grid: Grid,
     bounds: FloatArray,
     scene: SceneRow,
@@ -158,6 +164,7 @@ def near_detections(
     Parameters
     ----------
     state, t, frame : of a person, at a time (s) and in a frame
+    head : detection after which that is; −1: none
     bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
     count, longest = 0, scene.longest_gap + TIME_TOLERANCE
@@ -168,7 +175,11 @@ def near_detections(
             continue
         narrow = not is_new(state) and state.pv >= 0.0  # so that the variance grows with time
         least = spread_after(soon, state, group.least_variance, scene) if narrow else group.least_variance
-        bound = bounds[g] + log_gap(group.first_frame - frame - 1, scene) - math.log(2.0 * math.pi * least)
+        if chains.scans.shape[1]:
+            gone = log_at_least(chains, head, group.first, scene)
+        else:
+            gone = log_gap(group.first_frame - frame - 1, scene)
+        bound = bounds[g] + gone - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
         # The variance is a convex function of time.
@@ -209,15 +220,19 @@ def most_shown(scene: SceneRow) -> float:
 
 
 @compiled
-def most_dense(earlier: Row, before: State, later: Row, skipped: FloatArray, scene: SceneRow) -> float:
-    """Bound of the log density of a later detection's position and of its gap; see `kalman_step`.
+def most_dense(chains: Chains, k: int, before: State, m: int, skipped: FloatArray, scene: SceneRow) -> float:
+    """Bound of the log density of the position of detection m after k, and of the gap; see `kalman_step`.
 
     ``skipped``: `log_gap`, of gaps of 0, 1 … frames
     """
+    earlier, later = chains.rows[k], chains.rows[m]
     dt = later.t - earlier.t
     off_x, off_y = later.x - before.x - dt * before.vx, later.y - before.y - dt * before.vy
     gap = later.frame - earlier.frame - 1
-    gone = skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
+    if chains.scans.shape[1]:
+        gone = log_between(chains, k, m, scene)
+    else:
+        gone = skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
@@ -321,14 +336,14 @@ def gains_of_links(
         more = head_worth(chains, k, scene)
         grid, offered = (every, offered_every) if fresh[0][i] else (new, offered_new)
         bounds = offered + more
-        count = near_detections(chains, before, earlier.t, earlier.frame, grid, bounds, scene, near)
+        count = near_detections(chains, before, earlier.t, earlier.frame, k, grid, bounds, scene, near)
         for j in near[:count]:
             m = columns[j]
             if math.isnan(value[j]):
                 value[j] = evidence_as_new(chains, m, scene, state[0])
             later = chains.rows[m]
             bound = more + most_offered(later, value[j], most, scene)
-            if bound + most_dense(earlier, before, later, skipped, scene) <= least[j]:
+            if bound + most_dense(chains, k, before, m, skipped, scene) <= least[j]:
                 continue
             gain = more + extend_track(chains, before, k, m, scene, state[0])
             bound = gain - scene.log_birth - later.birth - later.gain + min(0.0, value[j]) + most
@@ -379,30 +394,31 @@ def gains_of_detections(
         if k >= 0:
             without, one = state_after(chains, k, scene, state[0]), chains.rows[k]
             bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
-            count = near_detections(chains, chains.state[k], one.t, one.frame, grid, bounds, scene, near)
+            count = near_detections(chains, chains.state[k], one.t, one.frame, k, grid, bounds, scene, near)
         else:
             # As far from the tail as a new person may have walked.
             without, later = evidence_as_new(chains, m, scene, state[0]), chains.rows[m]
             dt = later.t - now
             bounds[0] = new + most_offered(later, without, most, scene)
-            bounds[0] += log_gap(later.frame - frame - 1, scene)
+            if not chains.scans.shape[1]:
+                bounds[0] += log_gap(later.frame - frame - 1, scene)
             back[0].x, back[0].y = later.x, later.y
             back[0].pp = compiled_spread(later.variance, 0.0, scene.speed_variance, dt, scene.density)[0]
             count = near_detections(
-                chains, back[0], math.nextafter(now, -math.inf), frame - 1, grid, bounds, scene, near
+                chains, back[0], math.nextafter(now, -math.inf), frame - 1, -1, grid, bounds, scene, near
             )
         for j in near[:count]:
             d = columns[j]
             if k < 0:
                 gain = start_track(chains.rows[d], scene, here[0])
                 bound = gain - alone[j] + most_offered(chains.rows[m], without, most, scene)
-                bound += most_dense(chains.rows[d], here[0], chains.rows[m], skipped, scene)
+                bound += most_dense(chains, d, here[0], m, skipped, scene)
             else:
                 bound = np.inf
                 if m < 0:
                     bound = head_worth(chains, k, scene) + most
                     bound += chains.rows[d].gain + log_end(chains, d, scene) - alone[j]
-                    bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], skipped, scene)
+                    bound += most_dense(chains, k, chains.state[k], d, skipped, scene)
                 if bound > least[j]:
                     gain = chains.rows[k].total + extend_track(chains, chains.state[k], k, d, scene, here[0])
             if bound <= least[j]:

@@ -103,6 +103,7 @@ DETECTION = np.dtype(
         ("body", float),  # radians, observed; NaN: not observed
         ("head", float),
         ("given", np.int64),  # identity given by a tracker; −1: none
+        ("sensor", np.int64),  # number of its sensor, a column of `Chains.scans`
         ("following", np.int64),  # the next detection of the same person, or −1
         ("preceding", np.int64),  # the previous detection of the same person, or −1
         ("evidence", float),  # log likelihood of the detection given those before
@@ -123,11 +124,16 @@ Row: TypeAlias = Any
 
 
 class Chains(NamedTuple):
-    """n detections in the order of time, and their chaining into tracks; attributes are views."""
+    """n detections in the order of time, and their chaining into tracks; attributes are views.
+
+    With several sensors a frame is a scan of one of them.
+    """
 
     rows: NDArray[np.void]  # (n,) of DETECTION
     state: NDArray[np.void]  # (n,) of STATE, filtered there
     appearance: FloatArray  # (n, d) whitened descriptors, NaN where missing; (n, 0) without appearance
+    scans: FloatArray  # (n, s) scans of each sensor before the detection's; (n, 0): one sensor
+    views: FloatArray  # (n, s) probability that the place is in the field of view of each sensor
 
     @property
     def t(self) -> FloatArray:
@@ -138,6 +144,11 @@ class Chains(NamedTuple):
     def frame(self) -> IntArray:
         """(n,) in steps of the recording."""
         return self.rows["frame"]
+
+    @property
+    def sensor(self) -> IntArray:
+        """(n,) number of the sensor."""
+        return self.rows["sensor"]
 
     @property
     def variance(self) -> FloatArray:
@@ -189,14 +200,17 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
     rows["body"], rows["head"] = facing.T
     for name in ("given", "following", "preceding"):
         rows[name] = -1
-    return Chains(rows, np.zeros(len(t), STATE), np.empty((len(t), 0)))
+    none = np.empty((len(t), 0))
+    return Chains(rows, np.zeros(len(t), STATE), none, none.copy(), none.copy())
 
 
 def chains_of(detections: Detections) -> Chains:
-    """Detections that are not linked yet, with their observed angles."""
+    """Detections that are not linked yet, with their observed angles and what their sensors see."""
     angles = observed_angles(detections.channels, len(detections))
     position = np.ascontiguousarray(detections.position)
-    return unlinked(detections.t, detections.step, position, angles)
+    found = unlinked(detections.t, detections.step, position, angles)
+    found.rows["sensor"] = detections.sensor
+    return found._replace(scans=detections.scans, views=detections.views)
 
 
 def link_by(chains: Chains, identity: IntArray) -> None:
@@ -313,11 +327,49 @@ SAME = 1e-7  # difference of states and of evidence below which links do not cha
 @compiled
 def log_gap(frames: int, scene: SceneRow) -> float:
     """Log probability of a number of frames between two detections: chance misses, or one occlusion."""
-    if frames <= 0:
+    return log_misses(float(frames), frames, scene)
+
+
+@compiled
+def log_misses(missed: float, frames: int, scene: SceneRow) -> float:
+    """`log_gap` of frames in which the person was missed by chance or hidden so many times."""
+    if missed <= 0.0:
         return 0.0
-    chance = frames * scene.log_missed
+    chance = missed * scene.log_missed
     hidden = scene.log_hidden - frames * scene.frame_seconds / scene.hidden_seconds
     return np.logaddexp(chance, hidden)
+
+
+def misses_of(missed: FloatArray, frames: FloatArray, scene: SceneRow) -> FloatArray:
+    """`log_misses` of arrays of one shape."""
+    hidden_for = frames * scene.frame_seconds / scene.hidden_seconds
+    together = np.logaddexp(missed * scene.log_missed, scene.log_hidden - hidden_for)
+    return np.where(missed > 0.0, together, 0.0)
+
+
+@compiled
+def log_at_least(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
+    """Bound of `log_between` after detection k of all detections from m on; k = −1: 0."""
+    frames = chains.rows[m].frame - chains.rows[k].frame - 1
+    if k < 0 or frames <= 0:
+        return 0.0
+    missed = -chains.views[k, chains.rows[k].sensor]
+    for s in range(chains.scans.shape[1]):
+        missed += 0.5 * (chains.scans[m, s] - chains.scans[k, s]) * chains.views[k, s]
+    return log_misses(missed, frames, scene)
+
+
+@compiled
+def log_between(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
+    """`log_gap` between detections k and m, of the scans whose sensors see the places of both."""
+    frames = chains.rows[m].frame - chains.rows[k].frame - 1
+    if not chains.scans.shape[1] or frames <= 0:
+        return log_gap(frames, scene)
+    missed = -0.5 * (chains.views[k, chains.rows[k].sensor] + chains.views[m, chains.rows[k].sensor])
+    for s in range(chains.scans.shape[1]):
+        scans = chains.scans[m, s] - chains.scans[k, s]
+        missed += scans * 0.5 * (chains.views[k, s] + chains.views[m, s])
+    return log_misses(missed, frames, scene)
 
 
 @compiled
@@ -417,12 +469,29 @@ def extend_track(chains: Chains, before: State, k: int, m: int, scene: SceneRow,
     """
     earlier, later = chains.rows[k], chains.rows[m]
     density = kalman_step(earlier, before, later, scene, state)
-    skipped = log_gap(later.frame - earlier.frame - 1, scene)
+    skipped = log_between(chains, k, m, scene)
     shown = update_orientations(earlier, before, later, scene, state) + appearance_ratio(
         chains.appearance, k, m, scene
     )
-    trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
-    return density + later.gain + skipped + shown + trusted
+    return density + later.gain + skipped + shown + trusted(chains, k, m, scene)
+
+
+_BETWEEN = 8
+"""Detections of other sensors between two of one sensor, at most."""
+
+
+@compiled
+def trusted(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
+    """Log odds of the given identity of detection m, by that of its sensor at or before detection k."""
+    later = chains.rows[m]
+    if scene.trust == 0.0 or later.given < 0:
+        return 0.0
+    for _ in range(_BETWEEN):
+        one = chains.rows[k]
+        if one.sensor == later.sensor or one.preceding < 0:
+            break
+        k = one.preceding
+    return scene.trust if chains.rows[k].given == later.given else 0.0
 
 
 @compiled
@@ -496,7 +565,12 @@ def log_end(chains: Chains, k: int, scene: SceneRow) -> float:
     left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
         return 0.0
-    return max(min(scene.log_death + chains.rows[k].death, 0.0), log_gap(left, scene))
+    missed = float(left)
+    if chains.scans.shape[1]:
+        missed = chains.views[k, chains.rows[-1].sensor] - chains.views[k, chains.rows[k].sensor]
+        for s in range(chains.scans.shape[1]):
+            missed += (chains.scans[-1, s] - chains.scans[k, s]) * chains.views[k, s]
+    return max(min(scene.log_death + chains.rows[k].death, 0.0), log_misses(missed, left, scene))
 
 
 @compiled

@@ -161,8 +161,9 @@ class _Search(Moves):
     def __init__(self, detections: Detections, known: Known, start: SceneParameters | None = None) -> None:
         n = len(detections)
         self.detections, self._known = detections, known
-        scene = replace(first_guess(detections) if start is None else start, **known)
-        self.velocities = first_velocities(detections, scene, known)
+        alone = detections.of_main_sensor
+        scene = replace(first_guess(alone) if start is None else start, **known)
+        self.velocities = first_velocities(alone, scene, known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
         chains = chains_of(detections)
@@ -194,8 +195,15 @@ class _Search(Moves):
         return evidence_of_tracks(self.chains, identity, self._descriptors, self._score)
 
     def begin_with(self, given: NDArray[np.int64]) -> None:
-        """Start from the tracks of given identities (n,), from 0, and trust them; −1: none."""
-        link_by(self.chains, given)
+        """Start from the tracks of given identities (n,), from 0, and trust them; −1: none.
+
+        Of several sensors each has tracks of its own, and those of one person alternate: the search starts
+        from the places alone.
+        """
+        if self.detections.scans.shape[1]:
+            self.run(ROUNDS)
+        else:
+            link_by(self.chains, given)
         self.chains.rows["given"] = given
         self._trust = TRUST
         self.adopt(self.scene)

@@ -21,7 +21,7 @@ from graphtrack.association.likelihood import (
     Chains,
     IntArray,
     count_up,
-    log_gap,
+    misses_of,
     scene_of,
     unlinked,
 )
@@ -36,6 +36,7 @@ from graphtrack.association.scene import (
     first_guess,
     first_velocities,
 )
+from graphtrack.association.sensors import BETWEEN_SCANS, Views, with_views, with_zeros
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import OtherSettings, Saved
@@ -91,7 +92,8 @@ GUESS_SECONDS = 10.0  # weight of the prior of turning: at first all people may 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
 """Parameters of turning, and the exponent that makes a variance of each."""
 
-_REMEMBERED = ("t", "frame", "position", "facing", "std", "score", "descriptor")
+_OF_CHAINS = ("t", "frame", "position", "facing", "sensor", "scans")
+_REMEMBERED = (*_OF_CHAINS, "std", "score", "descriptor")
 
 
 class History(Saved):
@@ -113,17 +115,19 @@ class History(Saved):
     def __init__(self) -> None:
         self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
         self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
-        self.frame = np.zeros(0, np.int64)
+        self.frame, self.sensor = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self.scans = np.zeros((0, 0))
         self.frames, self.people, self.watched = 0, 0.0, 0.0  # frames, person-seconds and seconds so far
         self.due, self.learnings = 0.0, 0
 
     def add(self, chains: Chains, notes: Notes, first: int, end: int, step_seconds: float) -> None:
         """Store the detections ``first`` up to ``end``, and drop the oldest beyond the limit."""
-        new = {name: getattr(chains, name) for name in ("t", "position", "facing", "frame")}
+        new = {name: getattr(chains, name) for name in _OF_CHAINS}
         new |= {name: getattr(notes, name) for name in ("std", "score", "descriptor")}
         self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
-        frames = np.unique(chains.frame[first:end])
-        newest = np.unique(np.concatenate([self.frame, frames]))[-FIRST_LEARNED[0] :]
+        self.scans = with_first_sensor(self.scans, self.frame, chains.scans.shape[1])
+        frames, few = np.unique(chains.frame[first:end]), FIRST_LEARNED[0] * max(chains.scans.shape[1], 1)
+        newest = np.unique(np.concatenate([self.frame, frames]))[-few:]
         frame = np.concatenate([self.frame, chains.frame[first:end]])
         oldest = min(max(len(frame) - REMEMBERED, 0), int(np.searchsorted(frame, newest[0])))
         # No frame is remembered in part.
@@ -138,7 +142,8 @@ class History(Saved):
         """Return True if parameters are to be learned: each time that twice as much has been watched."""
         frames, people = FIRST_LEARNED
         more = 1.0 + _ROUNDING
-        return self.frames >= frames and self.people * more >= people and self.watched * more >= self.due
+        enough = self.frames >= frames * max(self.scans.shape[1], 1)
+        return enough and self.people * more >= people and self.watched * more >= self.due
 
     def learned(self, known: Known) -> LearnedScene:
         """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
@@ -146,7 +151,12 @@ class History(Saved):
         self.due = min(2.0 * self.watched, self.watched + RELEARNED)
         channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
         channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
-        found = learn_from_detections(Detections(self.frame, self.t, self.position, channels), known)
+        of_sensors: dict[str, Any] = {"sensor": self.sensor, "scans": self.scans}
+        detections = Detections(self.frame, self.t, self.position, channels, **of_sensors)
+        if self.scans.shape[1]:
+            views = Views.of(self.position, self.sensor, self.scans.shape[1])
+            detections = with_views(detections, views)
+        found = learn_from_detections(detections, known)
         return replace(found, scene=self._with_guess(found.scene, known))
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
@@ -157,6 +167,16 @@ class History(Saved):
             first, found = getattr(guess, name) ** power, getattr(scene, name) ** power
             mean[name] = (share * first + (1.0 - share) * found) ** (1.0 / power)
         return replace(scene, **mean | dict(known))
+
+
+def with_first_sensor(scans: FloatArray, frame: IntArray, count: int) -> FloatArray:
+    """Return scans (n, s) of detections with the columns of new sensors.
+
+    The frames (n,) of a sensor alone, of which there are no scans, are its scans.
+    """
+    if count and not scans.shape[1]:
+        scans = frame[:, None].astype(float)
+    return with_zeros(scans, count)
 
 
 REPORTED_FROM = 0.45
@@ -219,6 +239,11 @@ class OnlineAssociation(Moves, Saved):
         "updates": int,
         "_last": float,
         "_intervals": list[float],
+        "sensors": list[str],
+        "_last_of": list[float],
+        "_scans": list[int],
+        "_views": Views,
+        "_recent": list[int],
     }
 
     def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
@@ -238,6 +263,12 @@ class OnlineAssociation(Moves, Saved):
         self._appearance = AppearanceEvidence()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
+        # Names of the sensors, the time of the last scan of each, and its number of scans.
+        self.sensors: list[str] = []
+        self._last_of: list[float] = []
+        self._scans: list[int] = []
+        self._views = Views.none()
+        self._recent: list[int] = []  # sensors of the newest scans, if there are several
         self._pairs: Pairs  # of the frames that can be revised
         # The same by the number of the update, from its first detection on, and the spread that they are for.
         self._pairs_of: dict[int, Pairs] = {}
@@ -297,7 +328,7 @@ class OnlineAssociation(Moves, Saved):
         """Return the probability (n,) that the people last detected at these have not left by a frame."""
         chains, frames = self.chains, now - self.chains.frame[last]
         longest = int(frames.max(initial=0))
-        often = np.exp([log_gap(k, self.packed) for k in range(longest + 1)])
+        often = self._often_missed(last, longest)
         since = np.arange(longest)[:, None]
         seconds = self.step_seconds * np.minimum(since, frames - 1) + AHEAD
         goal = chains.position[last] + seconds[:, :, None] * chains.velocity[last]
@@ -306,10 +337,27 @@ class OnlineAssociation(Moves, Saved):
             rate = self._ground_rates.leaving_for(goal.reshape(-1, 2)).reshape(rate.shape)
         leaves = np.where(since < frames, np.minimum(np.exp(self.packed.log_death) * rate, 1.0), 0.0)
         stays = np.cumprod(np.vstack([np.ones(len(last)), 1.0 - leaves]), axis=0)
-        left = (stays[:-1] * leaves * often[:longest, None]).sum(axis=0)
-        there = stays[-1] * often[frames]
+        left = (stays[:-1] * leaves * often[:longest]).sum(axis=0)
+        there = stays[-1] * often[frames, np.arange(len(last))]
         found: FloatArray = there / (there + left)
         return found
+
+    def _often_missed(self, last: IntArray, longest: int) -> FloatArray:
+        """Return the probability (longest + 1, n) of no detection in so many frames after ``last``."""
+        frames = np.arange(longest + 1.0)[:, None] * np.ones(len(last))
+        missed = frames
+        if len(self.sensors) > 1 and longest:
+            chains, ahead = self.chains, self.step_seconds * frames[1:, :, None]
+            places = chains.position[last] + ahead * chains.velocity[last]
+            views = self._views.at(places.reshape(-1, 2)).reshape(longest, len(last), -1)
+            # The sensor of the scan that is k after that of each detection.
+            scan = chains.frame[last] + np.arange(1, longest + 1)[:, None]
+            newest = np.array(self._recent)
+            place = len(newest) - (self.updates - scan)
+            sensor = newest[np.clip(place, 0, len(newest) - 1)]
+            each = np.take_along_axis(views, sensor[:, :, None], axis=2)[:, :, 0]
+            missed = np.vstack([np.zeros(len(last)), np.cumsum(each, axis=0)])
+        return np.exp(misses_of(missed, frames, self.packed))
 
     def number_from(self, first: int) -> None:
         """Number new tracks from a track id on."""
@@ -332,8 +380,9 @@ class OnlineAssociation(Moves, Saved):
         facing: FloatArray | None = None,
         score: FloatArray | None = None,
         descriptor: FloatArray | None = None,
+        sensor: str = "",
     ) -> Decision:
-        """Associate a frame's detections.
+        """Associate a frame's detections, with several sensors a scan of one.
 
         Raise InputError if time does not increase, a position is not finite or descriptors have another size
         than before. The state is then unchanged.
@@ -346,9 +395,10 @@ class OnlineAssociation(Moves, Saved):
         facing : (n, 2) radians, body and head as they were observed; NaN: not observed
         score : (n,) detection scores, in the detector's units; NaN: no score
         descriptor : (n, d) appearance descriptors, NaN where missing; d is the same in all frames
+        sensor : name of the sensor
         """
         position = np.asarray(position, float).reshape(-1, 2)
-        self.check_time(t)
+        self.check_time(t, sensor)
         if not np.isfinite(position).all():
             raise InputError("a detection without a position", "both of its coordinates")
         n = len(position)
@@ -357,42 +407,74 @@ class OnlineAssociation(Moves, Saved):
         shown = np.asarray(shown, float)
         if shown.ndim != 2 or shown.shape[1] != (self.descriptor_size or shown.shape[1]):
             raise InputError(f"descriptors of shape {shown.shape}", f"(n, {self.descriptor_size or 'd'})")
+        one, t = self._scan(t, sensor)
         if self.updates:
-            self._intervals = [*self._intervals[-24:], t - self._last]
+            self._intervals = [*self._intervals[-24 * len(self.sensors) :], t - self._last]
         self._last = t
         self._forget(t)
         std = nothing if std is None else np.asarray(std, float)
         angles = np.full((n, 2), np.nan) if facing is None else np.asarray(facing, float)
         scores = nothing if score is None else np.asarray(score, float)
-        first = self._append(t, position, angles, Notes.of(std, np.ones(n), scores, shown))
+        first = self._append(t, position, angles, Notes.of(std, np.ones(n), scores, shown), one)
         self.updates += 1
+        self._scans[one] += 1
         self._learn()
         self._prepare()
         if n:
             self.move(first, first + n)
             self._weigh_duplicates()
         ends = [*self._first[1:], len(self.chains.t)]
-        ages = next(some for least, some in AGES.items() if self.step_seconds >= least)
-        for age in ages:
+        count = len(self.sensors)
+        ages = next(some for least, some in AGES.items() if self.step_seconds * count >= least)
+        for age in (age * count for age in ages):
             if age < len(self._first):
                 begin, end = self._first[-1 - age], ends[-1 - age]
                 if self.move(begin, end):
                     self.filter_from(end)
         return self._decide(first)
 
-    def check_time(self, t: float) -> None:
-        """Raise InputError unless a frame at a time (seconds) is valid."""
+    def check_time(self, t: float, sensor: str = "") -> None:
+        """Raise InputError unless a frame at a time (seconds), of a sensor, is valid."""
         if not (is_number(t) and abs(t) <= LARGEST_SECONDS):
             raise InputError(f"t = {t!r}", f"a time in seconds, {bounds_of('t').expected}")
-        if not t > self._last + TIME_TOLERANCE:
-            raise InputError(f"t = {t:.15g}", f"a time in seconds after {self._last:.15g}")
+        last = max(self._last_of, default=-np.inf)
+        own = self._last_of[self.sensors.index(sensor)] if sensor in self.sensors else -np.inf
+        if not t > own + TIME_TOLERANCE:
+            raise InputError(f"t = {t:.15g}", f"a time in seconds after {own:.15g}")
+        if t < last - TIME_TOLERANCE:
+            raise InputError(f"t = {t:.15g}", f"a time in seconds from {last:.15g} on, as of other sensors")
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _append(self, t: float, position: FloatArray, facing: FloatArray, notes: Notes) -> int:
+    def _scan(self, t: float, sensor: str) -> tuple[int, float]:
+        """Return the number of a scan's sensor, and its time, after those of the scans before."""
+        if sensor not in self.sensors:
+            self.sensors.append(sensor)
+            self._last_of.append(t)
+            self._scans.append(0)
+            self._views = self._views.with_sensor()
+            if len(self.sensors) == 2:
+                self._views = self._views.reaching(self.chains.position, self.chains.sensor)
+                self._recent = [0] * len(self._intervals)
+            count = len(self.sensors) if len(self.sensors) > 1 else 0
+            scans = with_first_sensor(self.chains.scans, self.chains.frame, count)
+            self.chains = self.chains._replace(scans=scans, views=np.zeros(scans.shape))
+        one = self.sensors.index(sensor)
+        self._last_of[one] = t
+        if len(self.sensors) > 1:
+            longest = self.scene.longest_gap / max(self.step_seconds, 1e-3)
+            self._recent = [*self._recent[-int(longest) - 1 :], one]
+            t = max(t, self._last + BETWEEN_SCANS)
+        return one, t
+
+    def _append(self, t: float, position: FloatArray, facing: FloatArray, notes: Notes, sensor: int) -> int:
         """Append a frame's detections; return the index of the first."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
+        new.rows["sensor"] = sensor
+        if chains.scans.shape[1]:
+            scans = np.tile(np.array(self._scans, float), (n, 1))
+            new = new._replace(scans=scans, views=np.zeros(scans.shape))
         new = self._appearance.in_chains(new, notes.descriptor)
         if self._ground_rates is not None:
             births, deaths, notes.clutter = self._ground_rates.at(position)
@@ -409,7 +491,8 @@ class OnlineAssociation(Moves, Saved):
         """Finalise frames that leave the revision window; keep detections that may be continued."""
         chains = self.chains
         oldest = t - self.lag - TIME_TOLERANCE
-        kept = [k for k in self._first if chains.t[k] >= oldest][-(REVISED_FRAMES - 1) :]
+        most = REVISED_FRAMES * len(self.sensors)
+        kept = [k for k in self._first if chains.t[k] >= oldest][-(most - 1) :]
         # A new person is decided by two frames together, so the last is open however far it is.
         kept = kept or self._first[-1:]
         settled = kept[0] if kept else len(chains.t)
@@ -443,6 +526,9 @@ class OnlineAssociation(Moves, Saved):
         chains = self.chains
         if not self._first:
             return
+        if chains.scans.shape[1]:
+            chains.views[:] = self._views.at(chains.position)
+            chains.views[np.arange(len(chains.t)), chains.sensor] = 1.0
         first = self._first[0]
         self._pairs = self._duplicate_pairs(first)
         std = self._notes.std[first:]
@@ -499,6 +585,9 @@ class OnlineAssociation(Moves, Saved):
         rows = zip(*(values[changed].tolist() for values in columns), strict=True)
         revised = tuple(Revision(*row) for row in rows)
         self._notes.reported = owner
+        if len(self.sensors) > 1:
+            known = np.flatnonzero(owner[first:] > 0) + first
+            self._views = self._views.reaching(chains.position[known], chains.sensor[known])
         sure = np.where(chains.preceding < 0, 1.0, self.link_p)
         return Decision(owner[first:], sure[first:], revised)
 
@@ -515,6 +604,7 @@ class OnlineAssociation(Moves, Saved):
             self._ground_rates, self._appearance = found.rates, found.appearance
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
         elif not history.learnings:
-            detections = Detections(chains.frame, chains.t, chains.position)
+            of_sensors: dict[str, Any] = {"sensor": chains.sensor, "scans": chains.scans}
+            detections = Detections(chains.frame, chains.t, chains.position, **of_sensors).of_main_sensor
             self.scene = replace(first_guess(detections), **self.known)
             self._velocities = first_velocities(detections, self.scene, self.known)

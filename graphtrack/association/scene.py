@@ -102,7 +102,7 @@ def learn_duplicates(
     return replace(scene, **{name: found[name] for name in free})
 
 
-_EDGE = 3  # frames at either end of a recording in which a person present may have been missed
+_EDGE = 3  # frames of a sensor at either end of a recording in which a person may have been missed
 
 _PRIOR_EVENTS = 2.0  # pseudo-count of events at the first guess
 
@@ -113,9 +113,9 @@ _LEAST_AREA = 25.0  # m² of a scene of which little has been detected so far
 _LEAST_STD, _GREATEST_STD = 0.03, 1.0  # metres, of the initial noise
 
 
-def edge_of(frames: int) -> int:
+def edge_of(frames: int, chains: Chains) -> int:
     """Frames at either end of a recording that are not counted as births or deaths."""
-    return min(_EDGE, frames // 4)
+    return min(_EDGE * max(chains.scans.shape[1], 1), frames // 4)
 
 
 _TURNS = 9  # directions in each of the two rounds of the search for the smallest box
@@ -193,13 +193,13 @@ def learn_scene(
     if not (identity >= 0).any():
         return scene
     events = _Events.of(chains, identity, seconds)
-    some, detected = events.gaps, float(events.detected)
+    frames, misses, detected = events.gaps, events.misses, float(events.detected)
     for _ in range(20):
-        chance = (1.0 - scene.detection_probability) ** some
-        occluded = scene.occlusion_probability * np.exp(-some * seconds / scene.occlusion_seconds)
+        chance = (1.0 - scene.detection_probability) ** misses
+        occluded = scene.occlusion_probability * np.exp(-frames * seconds / scene.occlusion_seconds)
         share = occluded / (chance + occluded)
-        missed = float(((1.0 - share) * some).sum())
-        hidden = ((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0)
+        missed = float(((1.0 - share) * misses).sum())
+        hidden = ((share * frames).sum() * seconds + 2.0) / (share.sum() + 1.0)
         gap = {
             "detection_probability": np.clip((detected + 9.0) / (detected + missed + 10.0), 0.02, 0.995),
             "occlusion_probability": np.clip(
@@ -231,7 +231,7 @@ def scene_log_density(
     events = _Events.of(chains, identity, seconds)
     gaps, hide = events.gaps, scene.occlusion_probability
     hidden = np.log(hide) - gaps * seconds / scene.occlusion_seconds
-    between = np.logaddexp(gaps * np.log1p(-scene.detection_probability), hidden).sum()
+    between = np.logaddexp(events.misses * np.log1p(-scene.detection_probability), hidden).sum()
     between += (events.links - len(gaps)) * np.log1p(-hide)
     around = duplicate_density(chains.frame, chains.position, identity, scene)[identity < 0]
     false = np.log(scene.clutter_density + around).sum() - scene.clutter_density * events.exposure
@@ -243,17 +243,25 @@ def scene_log_density(
     return float(positions + angles + detected + between + false + came + went)
 
 
-def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
-    """Frames (links,) between each detection of a person and the previous one."""
+def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Frames (links,) between each detection of a person and the previous one, and the misses in them."""
     linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
-    return (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
+    before = chains.preceding[linked]
+    frames = (chains.frame[linked] - chains.frame[before] - 1).astype(float)
+    if not chains.scans.shape[1]:
+        return frames, frames
+    shown = 0.5 * (chains.views[before] + chains.views[linked])
+    own = shown[np.arange(len(linked)), chains.rows["sensor"][before]]
+    missed = ((chains.scans[linked] - chains.scans[before]) * shown).sum(axis=1) - own
+    return frames, np.maximum(missed, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Events:
     """Counts of births, deaths, gaps and exposure in a recording."""
 
-    gaps: FloatArray  # frames of each gap within a track
+    gaps: FloatArray  # frames of each gap within a track in which the person was missed
+    misses: FloatArray  # of them, of sensors that see the places around the gap
     detected: int  # detections of people
     links: int  # pairs of consecutive detections
     born: int  # people who came into view
@@ -266,16 +274,17 @@ class _Events:
     def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:
         """Count them in linked chains, with the identities (n,); −1: false."""
         person = identity >= 0
-        gaps = gaps_of(chains, identity)
+        gaps, misses = gaps_of(chains, identity)
         frames, (_, square) = int(chains.frame[-1]) + 1, smallest_box(chains.position)
         people, detected = int(identity.max()) + 1, int(person.sum())
         first, last = np.full(people, frames), np.zeros(people, np.int64)
         np.minimum.at(first, identity[person], chains.frame[person])
         np.maximum.at(last, identity[person], chains.frame[person])
         # A person present at the start or at the end is no birth or death.
-        edge = edge_of(frames)
+        edge = edge_of(frames, chains)
         return cls(
-            gaps[gaps > 0],
+            gaps[misses > 0],
+            misses[misses > 0],
             detected,
             len(gaps),
             int((first > edge).sum()),
@@ -448,7 +457,7 @@ def own_rates(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArra
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
     """The detections at births and at deaths within the recording."""
     newest = int(chains.frame[-1])
-    edge = edge_of(newest + 1)
+    edge = edge_of(newest + 1, chains)
     person = identity >= 0
     first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
     last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))

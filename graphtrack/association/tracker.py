@@ -17,6 +17,7 @@ import numpy as np
 from graphtrack.association.associate import usable
 from graphtrack.association.likelihood import observed_angles
 from graphtrack.association.online import NOBODY, Decision, OnlineAssociation, Revision
+from graphtrack.association.sensors import Scans, scans_of
 from graphtrack.constants.commons import commons_of
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.constants.personal import Constants
@@ -79,12 +80,14 @@ def descriptors_of(observations: Sequence[Observation], size: int = 0) -> FloatA
 
 def to_smooth(observations: Observation, noise: float) -> Observation:
     """An observation without identity and appearance; with that noise (m) where it declares none."""
-    if observations.position_std is not None and observations.score is None and not observations.inputs:
+    has_noise = observations.axis_std is not None
+    if has_noise and observations.score is None and not observations.inputs:
         return observations
     inputs = {name: value for name, value in observations.inputs.items() if name != APPEARANCE}
     # `dataclasses.replace` takes several times as long.
     values = list(_VALUES_OF_OBSERVATION(observations))
-    values[_STD], values[_SCORE], values[_INPUTS] = observations.position_std or noise, None, inputs
+    std = observations.position_std if has_noise else noise
+    values[_STD], values[_SCORE], values[_INPUTS] = std, None, inputs
     return Observation(*values)
 
 
@@ -102,6 +105,15 @@ Key = tuple[int, int]
 
 UNSEEN = -1
 """The index of a missing detection."""
+
+
+def _sensor_of(detections: Sequence[Any]) -> str:
+    """Return the sensor of a frame's detections; InputError if they have several."""
+    names = {one.sensor for one in detections if isinstance(one, Observation)}
+    if len(names) > 1:
+        found = f"detections of the sensors {', '.join(sorted(map(repr, names)))} in one update"
+        raise InputError(found, "an update for each sensor")
+    return next(iter(names), "")
 
 
 class SceneGroups(Protocol):
@@ -197,7 +209,10 @@ class DetectionTracker(Saved):
         return self._association.learned
 
     def update(
-        self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
+        self,
+        t: float,
+        detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]],
+        sensor: str | None = None,
     ) -> list[PersonEstimate]:
         """Add a frame's detections; return the estimates of all present people, in the order of track ids.
 
@@ -207,24 +222,27 @@ class DetectionTracker(Saved):
 
         Parameters
         ----------
-        t : seconds, after those of the previous update; any step
+        t : seconds, after those of the previous update; any step. With several sensors an update is a scan of
+            one; scans of different sensors may have one time
         detections : observations of that time, or positions (n, 2) in metres; may be empty. Their appearance
             is their input ``appearance``, of one size in all frames
+        sensor : name of the sensor, such as of an empty scan; by default that of the observations
         """
         given = detections.tolist() if isinstance(detections, np.ndarray) else detections
-        self.check_time(t)
         if not isinstance(given, Iterable):
             raise InputError(f"detections = {given!r}", "observations, or positions (n, 2) in metres")
+        given = list(given)
+        sensor = _sensor_of(given) if sensor is None else sensor
+        self.check_time(t, sensor)
         observations = [self.on_the_ground(one, t) for one in given]
         self._note_unused(observations)
         position = np.array([one.position for one in observations], float).reshape(-1, 2)
         descriptors = descriptors_of(observations, self.descriptor_size)
         std, score = (
-            np.array([getattr(one, name) for one in observations], float)
-            for name in ("position_std", "score")
+            np.array([getattr(one, name) for one in observations], float) for name in ("axis_std", "score")
         )
         association, noise = self._association, self.scene.position_std
-        decision = association.update(t, position, std, facing_of(observations), score, descriptors)
+        decision = association.update(t, position, std, facing_of(observations), score, descriptors, sensor)
         number = association.updates - 1
         # The tracks show the noise of the positions best.
         self._observations |= {
@@ -295,9 +313,9 @@ class DetectionTracker(Saved):
         """The length of appearance descriptors; 0 before the first."""
         return self._association.descriptor_size
 
-    def check_time(self, t: float) -> None:
-        """Raise InputError unless a frame at a time (seconds) is valid."""
-        self._association.check_time(t)
+    def check_time(self, t: float, sensor: str = "") -> None:
+        """Raise InputError unless a frame at a time (seconds), of a sensor, is valid."""
+        self._association.check_time(t, sensor)
 
     def _follow(self, decision: Decision, hidden: list[int], number: int, settled: int) -> None:
         """Feed every person's smoother the detections now assigned to the person."""
@@ -351,6 +369,8 @@ class DetectionTracker(Saved):
         same = 0
         while same < min(len(keys), len(person.keys)) and keys[same] == person.keys[same]:
             same += 1
+        while 0 < same < len(person.keys) and self._is_of_one_time(*person.keys[same - 1 : same + 1]):
+            same -= 1  # a time is revised as a whole
         new = [self._observation_of(person, key) for key in keys[same:]]
         if same < len(person.keys):
             since = min(self._observations[key].t for key in (person.keys[same], *keys[same : same + 1]))
@@ -362,6 +382,9 @@ class DetectionTracker(Saved):
             for one in again:
                 person.estimate = person.smoother.update(one)
         person.keys = keys
+
+    def _is_of_one_time(self, first: Key, second: Key) -> bool:
+        return abs(self._observations[second].t - self._observations[first].t) < SAME_TIME
 
     def _observation_of(self, person: _Person, key: Key) -> Observation:
         """An observation, with the person's group of its time."""
@@ -446,17 +469,18 @@ def track_rows(
         rows = rows.with_notes(f"not used by the model {tracker.model.preset!r}: {listed(unused)}")
     given = [name for name in rows.channels if name.startswith(INPUT)]
     inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}
-    times, place = distinct_times(rows.channels["t"])
-    order = np.argsort(place, kind="stable")
-    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
+    scans, names = _scans_of(rows)
+    order = np.argsort(scans.number, kind="stable")
+    ends = np.searchsorted(scans.number[order], np.arange(len(scans.t)), side="right")
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
     estimates: dict[int, list[tuple[int, PersonEstimate]]] = {}
     revised, times_learned = 0, tracker.learned
-    for t, group in zip(times.tolist(), np.split(order, starts[1:]), strict=True):
-        rows_of_frame, frame = group.tolist(), int(rows.frame[group[0]])
-        observations = [observation_at(k, t, frame, channels, inputs) for k in rows_of_frame]
-        for person in tracker.update(t, observations):
-            estimates.setdefault(person.track_id, []).append((frame, person))
+    for number, (t, group) in enumerate(zip(scans.t.tolist(), np.split(order, ends[:-1]), strict=True)):
+        rows_of_frame, frame = group.tolist(), int(scans.frame[number])
+        sensor = names[scans.sensor[number]]
+        observations = [observation_at(k, t, frame, channels, inputs, sensor) for k in rows_of_frame]
+        for person in tracker.update(t, observations, sensor):
+            estimates.setdefault(person.track_id, []).append((number, person))
             if person.observed:
                 row = rows_of_frame[person.detection]
                 identity[row], probability[row] = person.track_id, person.identity_p
@@ -466,12 +490,27 @@ def track_rows(
             learned(t)
         advance(len(rows_of_frame))
     note = f"associated {len(rows)} detections online: {len(estimates)} people; {revised} identities revised"
-    rows = replace(rows, track_id=identity, has_identity=True, labels={})
+    rows = replace(rows, track_id=identity, has_identity=True, labels={}, frame=scans.number)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
-    return tracks.map(lambda one: _estimated(one, estimates[one.track_id], tracker))
+
+    def estimated(track: Track) -> Track:
+        some = estimates[track.track_id]
+        number = np.array([one for one, _ in some])
+        sensor = None if rows.sensor is None else np.array(names)[scans.sensor[number]]
+        found = with_rows(track, number, np.array([person.t for _, person in some]), sensor)
+        found = replace(found, frame=scans.frame[number])
+        return as_track(found, [person for _, person in some], tracker.model)
+
+    return tracks.map(estimated)
 
 
-def _estimated(track: Track, estimates: list[tuple[int, PersonEstimate]], tracker: DetectionTracker) -> Track:
-    frame, t = np.array([frame for frame, _ in estimates]), np.array([person.t for _, person in estimates])
-    return as_track(with_rows(track, frame, t), [person for _, person in estimates], tracker.model)
+def _scans_of(rows: Rows) -> tuple[Scans, list[str]]:
+    """Return the frames of rows, with several sensors their scans, and the sensors' names."""
+    t = rows.channels["t"]
+    if rows.sensor is not None:
+        names, sensor = np.unique(rows.sensor, return_inverse=True)
+        return scans_of(t, rows.frame, sensor), names.tolist()
+    times, place = distinct_times(t)
+    first = np.unique(place, return_index=True)[1]
+    return Scans(place, times, 0 * first, rows.frame[first], times, np.zeros((len(times), 0))), [""]

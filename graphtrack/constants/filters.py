@@ -18,16 +18,12 @@ from numpy.typing import NDArray
 from graphtrack.constant_velocity import compiled_noise, compiled_spread
 from graphtrack.geometry.angles import (
     FloatArray,
-    class_kappa,
-    concentration_from_resultant,
-    direction,
-    mean_resultant_length,
     unit,
-    vectors_of,
 )
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import TRACK, Rehearsal, allocating, compiled, inner
+from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
@@ -119,34 +115,6 @@ def turning_evidence(
         state = np.zeros((len(diffusions), 2))
         filter_angles(*_times(tracks), np.nan_to_num(angle), kappa, outliers, diffusions, state, found)
     return found
-
-
-def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """Return the observed angles (n,) of "body" or "head" and their concentrations (n,), NaN and 0 without.
-
-    Class likelihoods count as one angle, of the direction and concentration of their mean vector.
-    """
-    angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
-    if angle is None and classes is None:
-        return np.full(len(track), np.nan), np.zeros(len(track))
-    kappa = parameters.likelihood.kappas(name, getattr(track, f"{name}_kappa"), len(track))  # type: ignore[arg-type]
-    found = np.full(len(track), np.nan) if angle is None else angle.copy()
-    if classes is not None:
-        by_class, sharp = angle_of_classes(classes)
-        known = np.isfinite(by_class)
-        found[known], kappa[known] = by_class[known], sharp[known]
-    return found, np.where(np.isfinite(found), kappa, 0.0)
-
-
-def angle_of_classes(classes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k)."""
-    vectors = vectors_of(None, classes, len(classes))
-    known = np.isfinite(vectors).all(axis=1)
-    angle, kappa = np.full(len(classes), np.nan), np.zeros(len(classes))
-    length = np.linalg.norm(vectors[known], axis=1)
-    blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
-    angle[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
-    return angle, kappa
 
 
 def _origin(track: Track) -> FloatArray:

@@ -22,7 +22,6 @@ from graphtrack.constants.filters import (
     Persistent,
     is_in_image,
     motion_evidence,
-    observed_direction,
     position_variance,
     turning_evidence,
 )
@@ -30,6 +29,7 @@ from graphtrack.constants.population import DENSITIES, DIFFUSIONS, Population, l
 from graphtrack.geometry.angles import BoolArray, FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
+from graphtrack.model.given import observed_direction
 from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import Parameters, range_of
 from graphtrack.model.same_time import SAME_TIME

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, angle_of_classes, observe
+from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, observe
 from graphtrack.constants.personal import (
     Constants,
     alternatives_of,
@@ -44,6 +44,7 @@ from graphtrack.inference.online import OnlineSolver, Snapshot
 from graphtrack.inference.state import Estimate, Status, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
+from graphtrack.model.given import angle_of_classes
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import APART, SAME_TIME, merged, news
@@ -361,7 +362,7 @@ class OnlineSmoother:
             if smoother.learner is not None and is_new and all(one.status == "failed" for one in estimates):
                 smoother.learner.forget()
             if is_again:
-                estimates = smoother._as_late(estimates)
+                estimates = smoother._repeated(estimates)
             answers.append(smoother._combined(estimates))
         return answers
 
@@ -394,7 +395,7 @@ class OnlineSmoother:
             self._newest = Newest((observation,), {k: one.snapshot() for k, one in self._solvers.items()})
         return observation, False
 
-    def _as_late(self, estimates: list[Estimate]) -> list[Estimate]:
+    def _repeated(self, estimates: list[Estimate]) -> list[Estimate]:
         """Return the estimates of a product of observations as those after its last one."""
         assert self._newest is not None
         for solver, one in zip(self._solvers.values(), estimates, strict=True):

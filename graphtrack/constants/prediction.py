@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.constants.filters import ASTRAY, OUTLIERS, observed_direction, position_variance
+from graphtrack.constants.filters import ASTRAY, OUTLIERS, position_variance
 from graphtrack.geometry.angles import FloatArray, direction, log_blurred, unit, with_outliers
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.layout import BODY, HEAD
+from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 

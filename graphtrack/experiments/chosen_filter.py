@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
-from graphtrack.constants.filters import motion_evidence, observed_direction, turning_evidence
+from graphtrack.constants.filters import motion_evidence, turning_evidence
 from graphtrack.constants.population import DENSITIES, DIFFUSIONS
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.model import Parameters
+from graphtrack.model.given import observed_direction
 from graphtrack.tracks.track import Track
 
 _ANYWHERE = 10.0

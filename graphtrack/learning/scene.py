@@ -246,7 +246,7 @@ def _learned_rows(
     n_facing = np.isfinite(chains.facing).sum(axis=0)
     absent = {
         "position_std": "all detections declare their own" * bool(np.isfinite(explained.std).all()),
-        "occlusion_seconds": "no gap in any track" * (not gaps_of(chains, explained.identity).any()),
+        "occlusion_seconds": "no gap in any track" * (not gaps_of(chains, explained.identity)[0].any()),
     }
     if labelled and (explained.identity >= 0).all():
         none = "no row without an identity or with the label 'false'"

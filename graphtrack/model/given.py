@@ -7,9 +7,18 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_kappa,
+    concentration_from_resultant,
+    direction,
+    mean_resultant_length,
+    vectors_of,
+)
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.model import Model
 from graphtrack.model.observation import CHANNELS
+from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
@@ -81,3 +90,49 @@ def _rows(track: Track, name: str) -> BoolArray:
     if values is None:
         return np.zeros(len(track), bool)
     return np.asarray(np.isfinite(values.reshape(len(track), -1)).all(axis=1))
+
+
+def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return the observed angles (n,) of "body" or "head" and their concentrations (n,), NaN and 0 without.
+
+    Class likelihoods count as one angle, of the direction and concentration of their mean vector.
+    """
+    angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
+    if angle is None and classes is None:
+        return np.full(len(track), np.nan), np.zeros(len(track))
+    kappa = parameters.likelihood.kappas(name, getattr(track, f"{name}_kappa"), len(track))  # type: ignore[arg-type]
+    found = np.full(len(track), np.nan) if angle is None else angle.copy()
+    if classes is not None:
+        by_class, sharp = angle_of_classes(classes)
+        known = np.isfinite(by_class)
+        found[known], kappa[known] = by_class[known], sharp[known]
+    return found, np.where(np.isfinite(found), kappa, 0.0)
+
+
+def angle_of_classes(classes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k)."""
+    vectors = vectors_of(None, classes, len(classes))
+    known = np.isfinite(vectors).all(axis=1)
+    angle, kappa = np.full(len(classes), np.nan), np.zeros(len(classes))
+    length = np.linalg.norm(vectors[known], axis=1)
+    blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
+    angle[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
+    return angle, kappa
+
+
+def covariances_of(track: Track, likelihood: LikelihoodParameters) -> FloatArray:
+    """Return the covariances (n, 2, 2) of the observed positions, declared or default, m²."""
+    found = likelihood.position_stds(track.position_std, len(track))[:, None, None] ** 2 * np.eye(2)
+    if track.position_covariance is not None:
+        known = np.isfinite(track.position_covariance).all(axis=(1, 2))
+        found[known] = likelihood.position_scale**2 * track.position_covariance[known]
+    return np.asarray(found)
+
+
+def velocity_covariances_of(track: Track, likelihood: LikelihoodParameters) -> FloatArray:
+    """Return the covariances (n, 2, 2) of the observed velocities, declared or default, m²/s²."""
+    found = np.tile(likelihood.velocity_std**2 * np.eye(2), (len(track), 1, 1))
+    if track.observed_velocity_covariance is not None:
+        known = np.isfinite(track.observed_velocity_covariance).all(axis=(1, 2))
+        found[known] = track.observed_velocity_covariance[known]
+    return found

@@ -55,9 +55,9 @@ class Observed:
     def described(self) -> str:
         """Return the numbers of people, sensors, and detections in words."""
         n, false = len(self.columns["t"]), int(np.isnan(self.columns[TRUE_ID]).sum())
-        seen = len(np.unique(self.columns["sensor"]))
+        observing = len(np.unique(self.columns["sensor"]))
         return (
-            f"{counted(len(self.truth), 'person')}, {counted(seen, 'sensor')}, {counted(n, 'detection')}, "
+            f"{counted(len(self.truth), 'person')}, {counted(observing, 'sensor')}, {counted(n, 'detection')}, "
             f"{false} of them false"
         ).replace("persons", "people")
 
@@ -359,7 +359,7 @@ class _Simulation:
         They are new after ``lost_after`` seconds without a detection, and may be swapped when people meet.
         """
         simulation, m = self.simulation, self.own.shape[1]
-        identity, seen = np.full(m, -1), np.full(m, -np.inf)
+        identity, detected = np.full(m, -1), np.full(m, -np.inf)
         near = np.zeros((m, m), bool)
         found = np.full(len(scan), -1)
         order = np.argsort(scan, kind="stable")
@@ -368,9 +368,9 @@ class _Simulation:
             rows = order[bounds[k] : bounds[k + 1]]
             rows = rows[person[rows] >= 0]
             here = person[rows]
-            new = here[(identity[here] < 0) | (t - seen[here] > simulation.lost_after)]
+            new = here[(identity[here] < 0) | (t - detected[here] > simulation.lost_after)]
             identity[new] = first + np.arange(len(new))
-            first, seen[here] = first + len(new), t
+            first, detected[here] = first + len(new), t
             if simulation.switch_probability:
                 apart = np.linalg.norm(self.own[k, :, None] - self.own[k], axis=2)
                 met = np.triu((apart < simulation.meeting_distance) & ~near, 1)

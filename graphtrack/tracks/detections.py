@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +28,10 @@ class Detections:
     channels : further observed attributes of a `Track`, by name, (n, …); and ``box`` (n, 4), left, top, width
         and height in pixels, for trackers of boxes
     row : (n,) index of each in the input
+    sensor : (n,) number of its sensor
+    scans : (n, s) scans of each of several sensors before its own; a frame is then a scan of one of them.
+        (n, 0): one sensor
+    views : (n, s) probability that its place is in the field of view of each
     """
 
     frame: NDArray[np.int64]
@@ -35,6 +39,9 @@ class Detections:
     position: FloatArray
     channels: Mapping[str, FloatArray] = field(default_factory=dict)
     row: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    sensor: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    scans: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    views: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -45,6 +52,9 @@ class Detections:
         order = np.lexsort((np.arange(n), self.t))
         row = self.row if len(self.row) == n else np.arange(n)
         known = {"frame": self.frame, "t": self.t, "position": self.position, "row": row}
+        known["sensor"] = self.sensor if len(self.sensor) == n else np.zeros(n, np.int64)
+        known |= {"scans": self.scans if len(self.scans) == n else np.zeros((n, 0))}
+        known |= {"views": self.views if len(self.views) == n else np.ones(known["scans"].shape)}
         for name, values in known.items():
             object.__setattr__(self, name, np.asarray(values)[order])
         object.__setattr__(self, "channels", {name: v[order] for name, v in self.channels.items()})
@@ -56,12 +66,34 @@ class Detections:
         """Return the detections at some indices."""
         channels = {name: values[rows] for name, values in self.channels.items()}
         frame, t, position = self.frame[rows], self.t[rows], self.position[rows]
-        return Detections(frame, t, position, channels, self.row[rows])
+        of_sensors = self.sensor[rows], self.scans[rows], self.views[rows]
+        return Detections(frame, t, position, channels, self.row[rows], *of_sensors)
+
+    def with_views(self, views: FloatArray) -> Detections:
+        """Return the detections with other probabilities of fields of view."""
+        return replace(self, views=views)
+
+    @property
+    def of_main_sensor(self) -> Detections:
+        """Return the detections of the sensor that has most, with its own frames; all of one sensor alone."""
+        if not self.scans.shape[1]:
+            return self
+        main = int(np.bincount(self.sensor).argmax())
+        own = np.flatnonzero(self.sensor == main)
+        alone = self.taken(own)
+        return replace(
+            alone,
+            frame=alone.scans[:, main].astype(np.int64),
+            sensor=np.zeros(len(own), np.int64),
+            scans=np.zeros((len(own), 0)),
+            views=np.zeros((len(own), 0)),
+        )
 
     @property
     def step(self) -> NDArray[np.int64]:
         """Return (n,) the number of each detection's frame, in steps of the recording from the first."""
-        return (self.frame - self.frame[0]) // frames_between(self.frame)
+        apart = 1 if self.scans.shape[1] else frames_between(self.frame)
+        return (self.frame - self.frame[0]) // apart
 
     @property
     def step_seconds(self) -> float:
@@ -69,6 +101,8 @@ class Detections:
         steps, first = np.unique(self.step, return_index=True)
         if len(steps) < 2:
             return 1.0
+        if self.scans.shape[1]:
+            return float((self.t[-1] - self.t[0]) / (steps[-1] - steps[0]))
         return float(np.median(np.diff(self.t[first]) / np.maximum(np.diff(steps), 1)))
 
 

@@ -255,13 +255,16 @@ def _at_rate(track: Track, origin: float, hz: float) -> Track:
     return with_rows(renumbered, np.arange(len(t)), t[order])
 
 
-def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
+def with_rows(
+    track: Track, frame: np.ndarray, t: FloatArray, sensor: NDArray[np.str_] | None = None
+) -> Track:
     """Return a track with a row for each of some frames; rows of frames that it lacks are empty.
 
     Parameters
     ----------
     track : of observations
     frame, t : (n,) frames in order, including those of the track, and their times in seconds
+    sensor : (n,) names of their sensors; None: the track's, "" in other frames
     """
     if len(frame) == len(track):
         return track
@@ -275,8 +278,7 @@ def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
     observed = np.zeros(len(frame))
     observed[place] = 1.0 if track.observed is None else track.observed
     channels["observed"] = observed
-    sensor = None
-    if track.sensor is not None:
+    if track.sensor is not None and sensor is None:
         sensor = np.full(len(frame), "", dtype=track.sensor.dtype)
         sensor[place] = track.sensor
     inputs = {}

@@ -12,13 +12,14 @@ from noisy_walkers import walker
 from scipy import stats
 
 import graphtrack as gt
-from graphtrack.constants.filters import OUTLIERS, observed_direction, turning_evidence
+from graphtrack.constants.filters import OUTLIERS, turning_evidence
 from graphtrack.constants.personal import averaged, solve_learned
 from graphtrack.constants.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
 from graphtrack.constants.prediction import Observed, leave_one_out
 from graphtrack.errors import InputError
 from graphtrack.experiments.harness import evenly, thinned
 from graphtrack.geometry.angles import wrap
+from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import CouplingParameters, Parameters
 from graphtrack.tracks.track import Track, TrackSet
 

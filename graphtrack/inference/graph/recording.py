@@ -12,13 +12,26 @@ import numpy as np
 from graphtrack.errors import InputError, SolveError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import estimated_tracks
-from graphtrack.inference.graph.batch import reported_covariances, start_of, window_graph
+from graphtrack.inference.graph.batch import (
+    beginning,
+    joined,
+    reported_covariances,
+    start_of,
+    window_graph,
+)
+from graphtrack.inference.graph.sensors import (
+    OBSERVING,
+    observation_factors,
+    priors_of,
+    sensor_variables,
+)
 from graphtrack.inference.state import states_of, values_of
 from graphtrack.kernels.layout import N
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import chain
 from graphtrack.model.same_time import merged_rows, of_every_row
 from graphtrack.packages import gtsam
+from graphtrack.tracks.sensors import Sensors
 from graphtrack.tracks.track import Track, TrackSet
 
 _LETTERS = {"position": "x", "velocity": "v", "body": "b", "head": "h"}
@@ -64,24 +77,38 @@ def _frames(
 
 
 def recording_graph(
-    tracks: TrackSet, models: Sequence[Model]
+    tracks: TrackSet, models: Sequence[Model], sensors: Sensors | None = None
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """The factors of tracks, each by its own model, and the values from which the engines start.
+
+    ``sensors``: those whose learned errors are variables too, where rows are corrected for them
 
     Raises
     ------
     InputError
-        For ids that keys cannot hold, or that occur twice.
+        For ids that keys cannot hold, or that occur twice, and with sensors for a row of another one.
     SolveError
         For a track without a position.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    variables = {} if sensors is None else sensor_variables(sensors)
+    for one in variables.values():
+        if len(one.free):
+            values.insert(one.key, one.start[one.free])
+    graph.push_back(joined(priors_of(variables)))
     for track, model in zip(tracks, models, strict=True):
-        merged, _, steps = _frames(track, model, tracks.camera)
+        merged, rows, steps = _frames(track, model, tracks.camera)
         start = start_of(merged, steps, model)
         if values.exists(steps[0].position_key):
             raise InputError(f"two tracks {track.track_id}", "a different id for each person")
-        graph.push_back(window_graph(start, model))
+        if sensors is None:
+            graph.push_back(window_graph(start, model))
+        else:
+            further = [term for term in model.terms if not isinstance(term, OBSERVING)]
+            factors = [factor for step in steps for term in further for factor in term.factors(step)]
+            step_of_row = steps if rows is None else [steps[k] for k in rows.tolist()]
+            factors += [*beginning(start, model), *observation_factors(track, step_of_row, variables, model)]
+            graph.push_back(joined(factors))
         values.insert(values_of(steps, start.states, model))
     return graph, values
 

@@ -1,0 +1,139 @@
+"""Several sensors: their scans in the order of time, and the places that each sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.tracks.detections import Detections, with_those_between
+from graphtrack.tracks.time import TIME_TOLERANCE
+
+IntArray = NDArray[np.int64]
+
+BETWEEN_SCANS = 2.0 * TIME_TOLERANCE
+"""Seconds between scans of two sensors at one time, so that scans have an order."""
+
+
+class Scans(NamedTuple):
+    """The m scans of n detections, in the order of time; a scan is what one sensor detects at one time.
+
+    Attributes
+    ----------
+    number : (n,) of the scan of each detection
+    t : (m,) seconds
+    sensor, frame : (m,) number of the sensor, and of its frame
+    ordered : (m,) times that increase, a little later than ``t`` where two scans have one time
+    before : (m, s) scans of each sensor before
+    """
+
+    number: IntArray
+    t: FloatArray
+    sensor: IntArray
+    frame: IntArray
+    ordered: FloatArray
+    before: FloatArray
+
+
+def scans_of(t: FloatArray, frame: IntArray, sensor: IntArray) -> Scans:
+    """Return the scans of detections (n,) of sensors that count their frames by themselves.
+
+    Frames of a sensor between its first and last that have no detection are scans too, if its numbers count
+    time.
+    """
+    parts: list[tuple[FloatArray, IntArray, IntArray]] = []  # time, sensor and frame of scans
+    for one in range(int(sensor.max()) + 1):
+        own = np.flatnonzero(sensor == one)
+        frames, first = np.unique(frame[own], return_index=True)
+        times = t[own][first]
+        every = frames
+        if (np.diff(times) > 0.0).all():
+            try:
+                every = with_those_between(frames)
+            except InputError:  # the numbers do not count time
+                every = frames
+        parts.append((np.interp(every, frames, times), np.full(len(every), one), every))
+    times, sensors, frames = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((sensors, times))
+    count = np.arange(len(order))
+    number = np.empty(len(order), np.int64)
+    number[order] = count
+    apart = BETWEEN_SCANS * count
+    ordered = np.maximum.accumulate(times[order] - apart) + apart
+    each = (sensors[order][:, None] == np.arange(len(parts))).astype(float)
+    before = np.cumsum(each, axis=0) - each
+    starts = np.cumsum([0, *(len(part[0]) for part in parts[:-1])])
+    place = np.empty(len(t), np.int64)
+    for one, (_, _, every) in enumerate(parts):
+        own = sensor == one
+        place[own] = starts[one] + np.searchsorted(every, frame[own])
+    return Scans(number[place], times[order], sensors[order], frames[order], ordered, before)
+
+
+_DIRECTIONS = unit(np.arange(16) * (np.pi / 8.0))
+_INSIDE = 0.995
+"""Share of a sensor's detections that are in its field of view in each direction: some are gross errors."""
+_EDGE = 1.0
+"""Metres across the edge of a field of view over which its probability goes from 1 to 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Fields of view, learned as the convex shapes around what each sensor has detected.
+
+    Attributes
+    ----------
+    heights : (s, 16) farthest detections of each sensor along the directions of a compass, metres; −inf: none
+    """
+
+    heights: FloatArray
+
+    @classmethod
+    def of(cls, position: FloatArray, sensor: IntArray, count: int) -> Views:
+        """Learn the fields of view of ``count`` sensors from detections (n, 2), metres."""
+        heights = np.full((count, len(_DIRECTIONS)), -np.inf)
+        along = position @ _DIRECTIONS.T
+        for one in range(count):
+            own = along[sensor == one]
+            if len(own):
+                heights[one] = np.quantile(own, _INSIDE, axis=0)
+        return cls(heights)
+
+    @classmethod
+    def none(cls) -> Views:
+        """Fields of view of no sensor."""
+        return cls(np.zeros((0, len(_DIRECTIONS))))
+
+    def with_sensor(self) -> Views:
+        """Return these with a further sensor, which has views nothing."""
+        return Views(np.vstack([self.heights, np.full((1, len(_DIRECTIONS)), -np.inf)]))
+
+    def reaching(self, position: FloatArray, sensor: IntArray) -> Views:
+        """Return fields of view that include places (n, 2), each of one sensor (n,)."""
+        heights = self.heights.copy()
+        np.maximum.at(heights, sensor, position @ _DIRECTIONS.T)
+        return Views(heights)
+
+    def at(self, position: FloatArray) -> FloatArray:
+        """Return the probabilities (n, s) that places (n, 2) are in the fields of view."""
+        if not len(self.heights):
+            return np.zeros((len(position), 0))
+        beyond = (position @ _DIRECTIONS.T)[:, None, :] - self.heights
+        shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / _EDGE, 0.0, 1.0)
+        return shares
+
+
+def with_zeros(scans: FloatArray, count: int) -> FloatArray:
+    """Return the scans (n, s) of some sensors with columns of zeros for new ones, (n, count)."""
+    return np.pad(scans, ((0, 0), (0, count - scans.shape[1])))
+
+
+def with_views(detections: Detections, views: Views) -> Detections:
+    """Return detections with the fields of view at their places; their own sensor sees them."""
+    shares = views.at(detections.position)
+    shares[np.arange(len(shares)), detections.sensor] = 1.0
+    return detections.with_views(shares)

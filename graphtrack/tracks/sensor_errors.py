@@ -1,0 +1,48 @@
+"""Errors of sensors as arrays, as they are learned."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray, wrapped
+from graphtrack.tracks.sensors import Sensor
+
+ERRORS = ("shift_x", "shift_y", "rotation", "angle_bias", "clock_offset")
+"""Errors of a sensor, in the order of arrays: metres, metres, radians, radians, seconds."""
+
+X, Y, ROTATION, BIAS, CLOCK = range(len(ERRORS))
+
+PRIOR_STD = (1.0, 1.0, math.radians(10.0), math.radians(30.0), 0.5)
+"""1-σ of the errors before anything is observed, in the units of `ERRORS`."""
+
+
+def errors_of(sensor: Sensor) -> FloatArray:
+    """Return the errors (5,) of a sensor, NaN where they are unknown."""
+    shift = (None, None) if sensor.shift is None else sensor.shift
+    values = (*shift, sensor.rotation, sensor.angle_bias, sensor.clock_offset)
+    return np.array([math.nan if one is None else one for one in values])
+
+
+def with_errors(sensor: Sensor, errors: FloatArray, std: FloatArray | None = None) -> Sensor:
+    """Return a description with errors (5,), and with their 1-σ (5,) where these are not NaN."""
+    x, y, rotation, bias, clock = errors.tolist()
+    found = replace(
+        sensor, shift=(x, y), rotation=wrapped(rotation), angle_bias=wrapped(bias), clock_offset=clock
+    )
+    if std is None:
+        return found
+    given = dict(zip(ERRORS, std.tolist(), strict=True))
+    of_shift = given["shift_x"], given["shift_y"]
+    names = ("rotation", "angle_bias", "clock_offset")
+    known = {f"{name}_std": given[name] for name in names if not math.isnan(given[name])}
+    return replace(found, shift_std=None if math.isnan(sum(of_shift)) else of_shift, **known)
+
+
+def turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return vectors (n, 2) turned by an angle each (n,)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = vectors.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
