@@ -20,6 +20,7 @@ from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
 from graphtrack.io.format import Format, companion_files, is_recording, recognised
 from graphtrack.io.formats.native import CSV
 from graphtrack.io.options import FileReading, Reading, ReadOptions
+from graphtrack.io.poses import placed_by_poses
 from graphtrack.io.registry import (
     all_formats,
     detect,
@@ -147,7 +148,7 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     """Return the rows of a table in memory; see `read_identified`."""
-    return rows_of_table(cells_of_frame(table), options)
+    return placed_by_poses(rows_of_table(cells_of_frame(table), options), options)
 
 
 def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -> Rows:
@@ -245,7 +246,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     if place.is_dir():
         expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
         raise InputError("a directory", expected, path=path)
-    if options.topic is not None or options.fixed_frame is not None:
+    of_rows = options.fixed_frame is not None and options.poses is None
+    if options.topic is not None or of_rows:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
     with read_errors(place):
@@ -254,8 +256,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """Return the rows of a file, or of a folder that stands for one, in metres and with times."""
-    rows = _rows_of_file(path, format, options)
+    """Return the rows of a file, or of a folder that stands for one, in metres, the world and with times."""
+    rows = placed_by_poses(_rows_of_file(path, format, options), options)
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
 
