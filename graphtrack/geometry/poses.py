@@ -79,7 +79,7 @@ class PosePath:
 
     @property
     def is_exact(self) -> bool:
-        """Whether no pose has an uncertainty."""
+        """Return whether no pose has an uncertainty."""
         return not self._covariance.any()
 
     @cached_property

@@ -89,7 +89,7 @@ class MovingSensors:
 
     @property
     def is_used(self) -> bool:
-        """Whether a pose came."""
+        """Return whether a pose came."""
         return bool(self._poses)
 
     def add(self, pairs: Pairs) -> tuple[str | None, str | None]:

@@ -134,7 +134,7 @@ class Answering:
             return [(number, line)]
         try:
             pairs = parse_line(text_of(line))
-        except InputError:  # reported by whoever answers the line
+        except InputError:  # reported with the answer to the line
             return [*moving.due(), (number, line)]
         given = dict(pairs)
         try:

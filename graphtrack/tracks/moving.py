@@ -210,9 +210,9 @@ def _turned_classes(heights: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return class likelihoods (n, k) turned by angles (n,), interpolated between neighbouring classes."""
     k = heights.shape[1]
     by = yaw * k / (2.0 * np.pi)
-    whole = np.floor(by)
-    part = (by - whole)[:, None]
-    source = (np.arange(k) - whole[:, None].astype(np.int64)) % k
+    steps = np.floor(by)
+    part = (by - steps)[:, None]
+    source = (np.arange(k) - steps[:, None].astype(np.int64)) % k
     nearer = np.take_along_axis(heights, source, axis=1)
     further = np.take_along_axis(heights, (source - 1) % k, axis=1)
     return (1.0 - part) * nearer + part * further
