@@ -22,6 +22,9 @@ standard deviation of 0.11 m/s."""
 _FEWEST = 12
 """Fewest poses from which the independence of their errors is learned."""
 
+_LONGEST_CORRELATION = 1.0
+"""Seconds up to which errors of poses count as correlated: about the time over which people are smoothed."""
+
 _MEDIAN = 0.4549364
 """Median of the square of a standard normal variable."""
 
@@ -96,7 +99,7 @@ class PosePath:
         reach = self.usual_step + _TOLERANCE
         return np.asarray((t >= self.t[0] - reach) & (t <= self.t[-1] + reach))
 
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(self, t: FloatArray, repeats: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the poses (m, 3), x, y and yaw, at times (m,), and their covariances (m, 3, 3).
 
         Positions are interpolated linearly and yaw the short way. At the share w of a step from pose 0 to
@@ -105,6 +108,10 @@ class PosePath:
         path: how much more poses scatter about their neighbours than motion explains. Added is the error of a
         straight line under the acceleration found there, ½·a·s·(Δ − s) after s of Δ seconds. Outside the path
         the last two poses are extrapolated, with λ = 1.
+
+        Observations at times nearer than `correlation_time` share errors of the poses. Where a smoother takes
+        them as independent, each has to count for its part: with ``repeats`` (m,), the number of such times,
+        covariances within the path have λ = 0 and are multiplied by it.
 
         Raises
         ------
@@ -123,13 +130,13 @@ class PosePath:
         poses = (1.0 - w) * self._values[k] + w * self._values[k + 1]
         poses[:, 2] = wrap(poses[:, 2])
         independent, acceleration = self._scatter
-        share = np.where((w >= 0.0) & (w <= 1.0), independent, 1.0)[:, :, None]
+        share = np.where((w >= 0.0) & (w <= 1.0), independent if repeats is None else 0.0, 1.0)[:, :, None]
         w = w[:, :, None]
         first, second = self._covariance[k], self._covariance[k + 1]
         covariance = (1.0 - w) * first + w * second - share * w * (1.0 - w) * (first + second)
         bent = (0.5 * since * (step - since))[:, None] ** 2 * acceleration[k]
         covariance[:, [0, 1, 2], [0, 1, 2]] += bent
-        return poses, covariance
+        return poses, covariance if repeats is None else repeats[:, None, None] * covariance
 
     def rates(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return velocity and turn rate (m, 3), in m/s and rad/s, at times (m,), and covariances (m, 3, 3).
@@ -150,6 +157,18 @@ class PosePath:
     def _covariance(self) -> FloatArray:
         assert self.covariance is not None
         return self.covariance
+
+    @cached_property
+    def correlation_time(self) -> float:
+        """Seconds (integral of the autocorrelation) for which errors of poses last, from a step to 1 s.
+
+        They are taken as first-order Markov with the λ of the path.
+        """
+        rho = np.linspace(0.0, 0.999, 1000)
+        scatter = 1.0 - 1.5 * rho + 0.6 * rho**2 - 0.1 * rho**3  # λ of such errors, which falls with ρ
+        found = float(rho[np.argmin(np.abs(scatter - self._scatter[0]))])
+        lasting = self.usual_step * (1.0 + found) / (1.0 - found)
+        return min(lasting, max(self.usual_step, _LONGEST_CORRELATION))
 
     @cached_property
     def _values(self) -> FloatArray:

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.poses import PosePath
 from graphtrack.io.formats.ndjson import Pairs, unique
 from graphtrack.model import Observation
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.saved import check_numbers, count, real
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
-from graphtrack.tracks.moving import EVERY, UNDECLARED, channels_in_world
+from graphtrack.tracks.moving import EVERY, UNDECLARED, channels_in_world, nearby
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import (
     FIELDS,
@@ -84,6 +85,7 @@ class MovingSensors:
         self._clock, self._newest = StreamClock(jump), -math.inf
         self._poses: dict[str, list[list[float]]] = {}  # t, x, y, yaw, and their variances, by t
         self._paths: dict[str, PosePath] = {}
+        self._times: dict[str, list[float]] = {}  # of rows that were placed, ascending
         self._waiting: list[Waiting] = []
         self._has_noted = False
 
@@ -119,6 +121,7 @@ class MovingSensors:
         if verdict == "confirmed":
             note, _, _ = self._clock.confirm()
             self._poses, self._paths, self._newest = {name: [] for name in self._poses}, {}, t
+            self._times = {}
         self._clock.advance(t)
         self._newest = max(self._newest, t)
         is_new = sensor not in self._poses
@@ -197,18 +200,31 @@ class MovingSensors:
             if channel != "pixel" and (value := getattr(observation, channel)) is not None
         }
         try:
-            moved = channels_in_world(given, np.array([observation.t]), self._paths[name], self._undeclared)
+            repeats = self._repeats(name, observation.t)
+            t = np.array([observation.t])
+            moved = channels_in_world(given, t, self._paths[name], self._undeclared, repeats)
         except InputError as error:
             raise error.at(column="t") from error
         found = observation_at(0, observation.t, observation.frame, moved, sensor=observation.sensor)
         return replace(found, inputs=observation.inputs)
+
+    def _repeats(self, name: str, t: float) -> FloatArray:
+        """Return the number (1,) of times with rows near a time, which becomes one of them."""
+        times, path = self._times.setdefault(name, []), self._paths[name]
+        place = bisect_left(times, t)
+        if place == len(times) or times[place] != t:
+            times.insert(place, t)
+            del times[: bisect_left(times, times[-1] - self._lag - path.correlation_time)]
+        return nearby(np.array(times), np.array([t]), path.correlation_time)
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""
         waiting = [[*one[:1], one.line.decode("utf-8", "surrogateescape"), *one[2:]] for one in self._waiting]
         newest = None if self._newest == -math.inf else self._newest
         poses = {name: [*known] for name, known in self._poses.items()}  # written while more come
-        return {"clock": self._clock.state(), "newest": newest, "poses": poses, "waiting": waiting}
+        times = {name: [*known] for name, known in self._times.items()}
+        found = {"clock": self._clock.state(), "newest": newest, "poses": poses, "times": times}
+        return found | {"waiting": waiting}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`."""
@@ -219,6 +235,7 @@ class MovingSensors:
             str(name): [[*map(real, one)] for one in poses] for name, poses in state["poses"].items()
         }
         self._paths = {}
+        self._times = {str(name): [*map(real, known)] for name, known in state["times"].items()}
         self._waiting = [
             Waiting(count(number), line.encode("utf-8", "surrogateescape"), group, sensor, real(t))
             for number, line, group, sensor, t in state["waiting"]

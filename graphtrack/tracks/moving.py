@@ -36,6 +36,7 @@ def channels_in_world(
     t: FloatArray,
     path: PosePath,
     undeclared: tuple[float, float] = UNDECLARED,
+    repeats: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
     """Return channels of rows in a sensor's frame as they are in the world.
 
@@ -52,9 +53,10 @@ def channels_in_world(
     t : (n,) seconds, covered by the path
     path : poses of the sensor
     undeclared : 1-σ of positions (m) and velocities (m/s) without a declared noise
+    repeats : (n,) as in `PosePath.at`, of rows that are smoothed
     """
     found = dict(channels)
-    pose, spread = path.at(t)
+    pose, spread = path.at(t, repeats)
     yaw = pose[:, 2]
     turn = np.stack([np.cos(yaw), -np.sin(yaw), np.sin(yaw), np.cos(yaw)], axis=1).reshape(-1, 2, 2)
     arm = covariance = None
@@ -110,7 +112,7 @@ def rows_in_world(rows: Rows, paths: Mapping[str, PosePath]) -> Rows:
     for name, path in place.items():
         if path is not None:
             known[names == name] = path.covers(t[names == name])
-    rows, names = rows.keep(known, NO_POSE), names[known]
+    rows, names, t_known = rows.keep(known, NO_POSE), names[known], t[known]
     moving = [name for name, path in place.items() if path is not None]
     moves = np.isin(names, moving)
     channels = dict(rows.channels)
@@ -123,10 +125,12 @@ def rows_in_world(rows: Rows, paths: Mapping[str, PosePath]) -> Rows:
         path = place[name]
         assert path is not None
         given = {key: values[own] for key, values in channels.items()}
+        of_path = np.isin(names, [one for one in moving if place[one] is path])
+        repeats = nearby(np.unique(t_known[of_path]), given["t"], path.correlation_time)
         if not path.is_exact and "position" in given:
             there = np.isfinite(given["position"]).all(axis=1)
             undeclared += int((there & np.isnan(_declared(given, len(own), None)[:, 0, 0])).sum())
-        for key, values in channels_in_world(given, given["t"], path).items():
+        for key, values in channels_in_world(given, given["t"], path, repeats=repeats).items():
             if key not in channels:
                 channels[key] = np.full((len(rows), *values.shape[1:]), np.nan)
             elif channels[key] is rows.channels.get(key):
@@ -149,6 +153,13 @@ def rows_in_world(rows: Rows, paths: Mapping[str, PosePath]) -> Rows:
         notes.append("pixels of moving sensors are not used further")
     camera = None if moves.all() else rows.camera
     return replace(rows, channels=channels, camera=camera).with_notes(*notes)
+
+
+def nearby(times: FloatArray, t: FloatArray, window: float) -> FloatArray:
+    """Return the number of ascending times within a window about each of some times (n,), 1 at least."""
+    half = 0.5 * window
+    first = np.searchsorted(times, t - half, side="right")
+    return np.maximum(np.searchsorted(times, t + half, side="left") - first, 1).astype(float)
 
 
 def _of(names: list[str]) -> str:

@@ -242,6 +242,6 @@ def test_online_and_offline_poses_agree():
     row = seen(1.23)
     found = moving.in_world(observation_of(row, None))
     place = {"position": np.array([[row["x"], row["y"]]]), "position_std": np.array([0.1])}
-    expected = channels_in_world(place, np.array([1.23]), path)
+    expected = channels_in_world(place, np.array([1.23]), path, repeats=np.ones(1))
     np.testing.assert_allclose(found.position, expected["position"][0], atol=1e-12)
     np.testing.assert_allclose(found.position_covariance, expected["position_covariance"][0], atol=1e-12)
