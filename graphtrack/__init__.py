@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
+    from graphtrack.geometry.poses import PosePath
     from graphtrack.graphs import graph_of, tracks_of
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
     from graphtrack.inference.graph.recording import key_of
@@ -67,6 +68,7 @@ __all__ = [
     "OnlineTracker",
     "Parameters",
     "PersonEstimate",
+    "PosePath",
     "ReadOptions",
     "ReadSummary",
     "SceneParameters",
@@ -125,6 +127,7 @@ _HOMES = {
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",
+    "geometry.poses": "PosePath",
     "graphs": "graph_of tracks_of",
     "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",

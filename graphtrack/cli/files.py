@@ -169,7 +169,7 @@ def formats() -> None:
 def convert(
     inputs: options.Inputs,
     output: options.Output,
-    reading: options.CameraReading,
+    reading: options.MovingReading,
     spreadsheet: Annotated[bool, typer.Option("--spreadsheet")] = False,
 ) -> None:
     """Write tracks unchanged in another format, given by the ending of the output.

@@ -164,7 +164,7 @@ class MetricReading:
 
         paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
-        files = (*_CAMERA_FILES, "sensors")
+        files = (*_CAMERA_FILES, "sensors", "poses")
         named |= {option_name(name): given[name] for name in files if name in given}
         named["a companion file of the input"] = [place for path in paths for place in companion_files(path)]
         return named
@@ -247,7 +247,24 @@ class CameraReading(MetricReading):
 
 
 @dataclass(frozen=True)
-class SceneReading(CameraReading):
+class MovingReading(CameraReading):
+    """Options of an input whose sensors may move.
+
+    Sensors that move
+    -----------------
+    poses : File with the poses of the sensors, whose rows are in their frame (x forward, y left): a table
+        with t, x, y, yaw_deg or a quaternion, text of TUM, KITTI or EuRoC, or a ROS 2 bag with tf. A column
+        sensor in both says whose.
+    pose_axes : Axes of a sensor with poses in space: robot, x forward and z up; camera, z forward and y down.
+        By default camera for KITTI odometry, else robot.
+    """
+
+    poses: Annotated[Path | None, typer.Option(metavar="FILE", parser=place_of)] = None
+    pose_axes: Literal["robot", "camera"] | None = None
+
+
+@dataclass(frozen=True)
+class SceneReading(MovingReading):
     """Options of an input that may lack identities.
 
     Reading the input

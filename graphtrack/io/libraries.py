@@ -17,6 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import placed_boxes, with_scores
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.poses import placed_by_poses
 from graphtrack.packages import package
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
@@ -145,7 +146,7 @@ def rows_of_supervision(
 ) -> Rows:
     """Return the rows of ``supervision.Detections`` (a list, or frame → one), on the ground."""
     found = {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)}
-    return _rows(found, "supervision", options)
+    return placed_by_poses(_rows(found, "supervision", options), options)
 
 
 def rows_of_ultralytics(
@@ -153,7 +154,7 @@ def rows_of_ultralytics(
 ) -> Rows:
     """Return the rows of Ultralytics' ``Results`` of frames, on the ground; as `rows_of_supervision`."""
     found = {k: boxes_of_ultralytics(one, person) for k, one in _numbered(results)}
-    return _rows(found, "ultralytics", options)
+    return placed_by_poses(_rows(found, "ultralytics", options), options)
 
 
 def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, Any]]:

@@ -11,6 +11,7 @@ from typing import Literal, TypedDict, Unpack, get_args
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.poses import PosePath
 from graphtrack.io.limits import MemoryLimit
 from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
@@ -85,6 +86,12 @@ def _check_places(columns: Mapping[str, str]) -> None:
 
 Associate = Literal["auto", "never", "always", "repair"]
 
+Poses = str | Path | PosePath | Mapping[str, PosePath]
+"""A file of poses, the path of all sensors, or name of a sensor → its path."""
+
+PoseAxes = Literal["robot", "camera"]
+"""Axes of a sensor with poses in space: x forward and z up, or z forward and y down."""
+
 
 class ReadingBase(TypedDict, total=False):
     """Keywords of reading other than camera and frame rate: fields of `ReadOptions`."""
@@ -109,6 +116,8 @@ class ReadingBase(TypedDict, total=False):
     topic: str | Sequence[str] | None
     fixed_frame: str | None
     sensors: SensorsLike | None
+    poses: Poses | None
+    pose_axes: PoseAxes | None
     reference: AsRead | None
     max_memory: float | None
 
@@ -162,6 +171,10 @@ class ReadOptions:
         apart by the names of the topics
     fixed_frame : the frame of reference of its positions, to which ``tf`` transforms them
     sensors : descriptions of the sensors by name, or their file; rows are corrected for the errors
+    poses : of sensors that move, whose rows are in their frame (x forward, y left, metres): a file, or in
+        Python a `PosePath`, or name in the column ``sensor`` → `PosePath` with the times of the tracks
+    pose_axes : of a sensor with poses in space: "robot", x forward and z up; "camera", z forward and y down.
+        By default "camera" for KITTI odometry, else "robot"
     reference : layout of another table with the same origins of time and local metres
     max_memory : GiB that the content of the file may take; None: 4, and no more than 200 times the size of
         the file, or 64 MiB where that is more
@@ -189,6 +202,8 @@ class ReadOptions:
     topic: str | Sequence[str] | None = None
     fixed_frame: str | None = None
     sensors: SensorsLike | None = None
+    poses: Poses | None = None
+    pose_axes: PoseAxes | None = None
     reference: AsRead | None = None
     max_memory: float | None = None
 
@@ -198,6 +213,13 @@ class ReadOptions:
         check_positive("max_memory", self.max_memory, 1e6)
         if self.associate not in get_args(Associate):
             raise InputError(f"associate = {self.associate!r}", f"one of {', '.join(get_args(Associate))}")
+        if self.pose_axes is not None and self.pose_axes not in get_args(PoseAxes):
+            raise InputError(f"pose_axes = {self.pose_axes!r}", f"one of {', '.join(get_args(PoseAxes))}")
+        if self.pose_axes is not None and not isinstance(self.poses, str | Path):
+            raise InputError("pose_axes without a file of poses", "poses, the path of a file")
+        paths = self.poses.values() if isinstance(self.poses, Mapping) else [self.poses]
+        if not all(one is None or isinstance(one, str | Path | PosePath) for one in paths):
+            raise InputError("poses of another type", "a file, a PosePath, or name of a sensor → PosePath")
         object.__setattr__(
             self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
         )

@@ -20,6 +20,7 @@ from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
 from graphtrack.io.format import Format, companion_files, is_recording, recognised
 from graphtrack.io.formats.native import CSV
 from graphtrack.io.options import FileReading, Reading, ReadOptions
+from graphtrack.io.poses import placed_by_poses
 from graphtrack.io.registry import (
     all_formats,
     detect,
@@ -149,6 +150,7 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     """Return the rows of a table in memory; see `read_identified`."""
     rows = with_known_sensors(rows_of_table(cells_of_frame(table), options), options.sensor_scene)
+    rows = placed_by_poses(rows, options)
     return rows.with_notes(*absent_note(options.sensor_scene, names_in(rows)))
 
 
@@ -252,7 +254,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     if place.is_dir():
         expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
         raise InputError("a directory", expected, path=path)
-    if options.topic is not None or options.fixed_frame is not None:
+    of_rows = options.fixed_frame is not None and options.poses is None
+    if options.topic is not None or of_rows:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
     with read_errors(place):
@@ -261,14 +264,15 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """Return the rows of a file, or of a folder that stands for one, in metres and with times."""
+    """Return the rows of a file, or of a folder that stands for one, in metres, the world and with times."""
     rows = _corrected_rows(path, format, options)
     return rows.with_notes(*absent_note(options.sensor_scene, names_in(rows)))
 
 
 def _corrected_rows(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """Return the rows of a file without the known errors of their sensors."""
+    """Return the rows of a file in the world, without the known errors of their sensors."""
     rows = with_known_sensors(_rows_of_file(path, format, options), options.sensor_scene)
+    rows = placed_by_poses(rows, options)
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
 

@@ -22,7 +22,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.options import ReadOptions
-from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset, rows_of_block
+from graphtrack.scale.dataset import Dataset, ShardWriter, check_without_poses, open_dataset, rows_of_block
 from graphtrack.scale.workers import on_cluster
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
 from graphtrack.tracks.schema import in_order
@@ -114,6 +114,7 @@ def associate_dataset(
     check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
     if block_rows < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"block_rows = {block_rows}, jobs = {jobs}", "numbers from 1")
+    check_without_poses(dataset, read_options)
     if "sensor" in dataset.columns:
         expected = "detections of one sensor, or a file that fits into memory (smooth --associate)"
         raise dataset.fail("a column sensor", expected, column="sensor")

@@ -236,6 +236,13 @@ def rows_of_block(
     return rows_of_cells(table, Layout(), fps=fps, strict=True)
 
 
+def check_without_poses(dataset: Dataset, options: ReadOptions | None) -> None:
+    """Raise InputError for poses of sensors, which are not read with a data set."""
+    if options is not None and options.poses is not None:
+        expected = "rows in the world (graphtrack convert --poses), or a file that fits into memory"
+        raise dataset.fail("poses when streaming", expected)
+
+
 def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
     """Return column of the native table → its other well-known name, and notes on it."""
     found, notes = with_synonyms(names, ReadOptions(), path)

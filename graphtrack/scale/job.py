@@ -21,7 +21,7 @@ from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
-from graphtrack.scale.dataset import Dataset, ShardWriter, open_dataset
+from graphtrack.scale.dataset import Dataset, ShardWriter, check_without_poses, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch, tracks_of_batch
 from graphtrack.smoothing import learn_constants, make_smoothing_ready
@@ -116,6 +116,7 @@ def smooth_dataset(
     check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
     if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
+    check_without_poses(dataset, read_options)
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
     check_names(dataset.columns, read_options.fps, dataset.fail)
     if read_options.sensors is not None:

@@ -29,6 +29,7 @@ from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import Saved
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
+from graphtrack.streaming.moving import Group, MovingSensors
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -239,6 +240,7 @@ class TrackAnswers(Answering):
         `Conversations` of a model with groups
     unused : as in `UnknownKeys`
     commons : what people have in common, where constants are learned
+    moving : as in `Answering`
 
     Attributes
     ----------
@@ -255,8 +257,9 @@ class TrackAnswers(Answering):
         of_scene: Callable[[], dict[str, Saved]] = dict,
         unused: Collection[str] = (),
         commons: Commons | None = None,
+        moving: MovingSensors | None = None,
     ) -> None:
-        super().__init__(fps, note, unused=unused)
+        super().__init__(fps, note, unused=unused, moving=moving)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._commons = Commons(Population(), learns=False) if commons is None else commons
         self._waiting = dict[int, _Waiting]()
@@ -265,10 +268,11 @@ class TrackAnswers(Answering):
 
     def shared_state(self) -> dict[str, Any]:
         """Return the state of the clock, and what people have in common."""
-        return {"clock": self.clock.state(), **self._commons.state()}
+        return {"clock": self.clock.state(), **self._commons.state(), **super().shared_state()}
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
+        super().restore_shared(state)
         self.clock.restore(state["clock"])
         self._commons.restore(state)
 
@@ -280,20 +284,26 @@ class TrackAnswers(Answering):
         found: list[list[dict[str, Any]]] = []
         for number, line in lines:
             self.rows, self.line = self.rows + 1, number
-            cells: dict[str, Any] | None = None
-            pairs: Pairs = ()
             found.append([])
-            try:
-                cells = plain_cells(line)
-                if cells is None:
-                    pairs = self.pairs_of(line)
-                    cells = read_cells(pairs)
-                self._unknown_keys.check_used(cells)
-                self._take(cells["track_id"], observation_of(cells, self.fps), found[-1])
-            except InputError as error:
-                found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
+            for one in self.ready(number, line, found[-1]):
+                self._answer(*one, found[-1])
         self._take_waiting()
         return found
+
+    def _answer(self, number: int, line: bytes, answers: list[dict[str, Any]]) -> None:
+        """Process a row; its answer is added at once, or by `_take_waiting`."""
+        cells: dict[str, Any] | None = None
+        pairs: Pairs = ()
+        try:
+            cells = plain_cells(line)
+            if cells is None:
+                pairs = self.pairs_of(line)
+                cells = read_cells(pairs)
+            self._unknown_keys.check_used(cells)
+            observation = self._moving.in_world(observation_of(cells, self.fps))
+            self._take(cells["track_id"], observation, answers)
+        except InputError as error:
+            answers.append(error_row(pairs or tuple((cells or {}).items()), number, error))
 
     def _take(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
         """Process a row whose time is plausible or confirmed; else let it wait."""
@@ -320,7 +330,7 @@ class TrackAnswers(Answering):
         self._note(note)
         answers: list[dict[str, Any]] = []
         if is_earlier:
-            answers += self.finish()
+            answers += self._end_frame()
             self.clock.last_row.clear()
             self.members = self._of_scene()
         for track_id, observation in rows:
@@ -393,7 +403,14 @@ class TrackAnswers(Answering):
         return len(self.members) - sum(key in self.members for key in (FRAMES, CONVERSATIONS))
 
     def finish(self) -> list[dict[str, Any]]:
-        """Return the answers at the end of input: those of the last frame."""
+        """Return the answers at the end of input: those of rows that wait, and of the last frame."""
+        answers: list[dict[str, Any]] = []
+        for one in self._moving.due(all=True):
+            self._answer(*one, answers)
+        self._take_waiting()
+        return answers + self._end_frame()
+
+    def _end_frame(self) -> list[dict[str, Any]]:
         if FRAMES not in self.members:
             return []
         frames: EndedFrames = self.members[FRAMES]
@@ -468,7 +485,7 @@ class Scenes(Answering):
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
     bounds : limits of what is kept
-    unused : as in `UnknownKeys`
+    unused, moving : as in `Answering`
 
     Attributes
     ----------
@@ -486,8 +503,9 @@ class Scenes(Answering):
         asked: Asked | None = None,
         bounds: StreamBounds = StreamBounds(),
         unused: Collection[str] = (),
+        moving: MovingSensors | None = None,
     ) -> None:
-        super().__init__(fps, note, ("stream", "end"), unused)
+        super().__init__(fps, note, ("stream", "end"), unused, moving)
         self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
         self._bounds = bounds
 
@@ -498,10 +516,19 @@ class Scenes(Answering):
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
         """Return the answers to each of some lines: none until the frame ends."""
-        return [self._answer(number, line) for number, line in lines]
+        found: list[list[dict[str, Any]]] = []
+        for number, line in lines:
+            self.rows, self.line = self.rows + 1, number
+            found.append([])
+            for one in self.ready(number, line, found[-1]):
+                found[-1] += self._answer(*one)
+        return found
+
+    def group_of(self, given: Mapping[str, Any]) -> Group:
+        """Return the stream of a line, whose frames are in the order of time."""
+        return _name(given.get("stream"))
 
     def _answer(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        self.rows, self.line = self.rows + 1, number
         pairs: Pairs = ()
         try:
             pairs = self.pairs_of(line)
@@ -514,8 +541,10 @@ class Scenes(Answering):
             return [error_row(pairs, number, error)]
 
     def finish(self) -> list[dict[str, Any]]:
-        """Return the answers at the end of input: those of the unfinished frames."""
-        rows = []
+        """Return the answers at the end of input: those of rows that wait, and of the unfinished frames."""
+        rows: list[dict[str, Any]] = []
+        for one in self._moving.due(all=True):
+            rows += self._answer(*one)
         for name in self.members:
             rows += self._flush(name)
         return rows
@@ -530,7 +559,7 @@ class Scenes(Answering):
         number = cells.get("frame")
         if "t" not in cells and number is None:
             raise InputError("neither t nor frame", "the time of the observation", column="t")
-        return observation_of({**cells, "frame": number or 0}, self.fps), number
+        return self._moving.in_world(observation_of({**cells, "frame": number or 0}, self.fps)), number
 
     def _take(
         self, name: Name, one: Observation, number: int | None, *, is_end: bool = False

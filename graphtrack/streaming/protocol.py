@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from codecs import BOM_UTF8
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain
-from typing import Any
+from typing import Any, TypeGuard
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrapped
@@ -20,8 +21,9 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
 from graphtrack.model.observation import Covariance
 from graphtrack.streaming.clock import StreamClock
+from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors
 from graphtrack.tracks.cells import Layout
-from graphtrack.tracks.schema import in_order, is_column, numeric, unknown
+from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
 from graphtrack.tracks.validation import APPEARANCE, INPUT
@@ -77,6 +79,7 @@ class Answering:
     fps : frames a second, for rows without a time
     note : called with a sentence on each unknown key, and on times that jump
     known, unused : as in `UnknownKeys`
+    moving : poses of moving sensors; None: with the default lag
 
     Attributes
     ----------
@@ -90,8 +93,11 @@ class Answering:
         note: Callable[[str], None],
         known: Collection[str] = (),
         unused: Collection[str] = (),
+        moving: MovingSensors | None = None,
     ) -> None:
         self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known, unused)
+        self._of_poses = UnknownKeys(note, POSE_KEYS, set(NAMES) - POSE_KEYS)
+        self._moving = MovingSensors() if moving is None else moving
         self._has_noted_jump = False
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
@@ -111,10 +117,54 @@ class Answering:
 
     def shared_state(self) -> dict[str, Any]:
         """Return the part of the state that belongs to no member, as JSON-able data."""
-        return {}
+        return {"moving": self._moving.state()} if self._moving.is_used else {}
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
+        if "moving" in state:
+            self._moving.restore(state["moving"])
+
+    def ready(self, number: int, line: bytes, answers: list[dict[str, Any]]) -> list[tuple[int, bytes]]:
+        """Return the lines to answer once a line came: itself, unless it waits for a pose, and what waited.
+
+        A pose is taken, and answered if it is invalid.
+        """
+        moving = self._moving
+        if not moving.is_used and b'"pose"' not in line:
+            return [(number, line)]
+        try:
+            pairs = parse_line(text_of(line))
+        except InputError:  # reported with the answer to the line
+            return [*moving.due(), (number, line)]
+        given = dict(pairs)
+        try:
+            if POSE in given:
+                self._of_poses(pairs)
+                self._of_poses.check_used(given)
+                new, jump = moving.add(pairs)
+                if new is not None and self.rows > 1:
+                    sensor = f" of the sensor {new!r}" if new else ""
+                    self._note(
+                        f"poses{sensor} begin in line {number}: earlier rows are taken as in the world"
+                    )
+                if jump is not None:
+                    self._note(f"poses: {jump}")
+                return list(moving.due())
+            t, sensor = given.get("t", given.get("end")), given.get("sensor") or ""
+            if t is None and self.fps is not None and _is_number(given.get("frame")):
+                t = given["frame"] / self.fps
+            if _is_number(t) and isinstance(sensor, str):
+                of_row = None if "end" in given else sensor
+                if moving.hold(number, line, self.group_of(given), of_row, t):
+                    return list(moving.due())
+        except InputError as error:
+            answers.append(error_row(pairs, number, error))
+            return list(moving.due())
+        return [*moving.due(), (number, line)]
+
+    def group_of(self, given: Mapping[str, Any]) -> Group:
+        """Return the stream whose lines stay in order, of a line's content; None: any order."""
+        return None
 
     def note_unconfirmed(self, t: float, clock: StreamClock) -> None:
         """Note the first row whose time (seconds) is implausible."""
@@ -288,14 +338,22 @@ Refuse = Callable[[int, bytes], None]
 def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] | None]:
     """Return the lines from the first that can be read, and its cells; None if there is none.
 
-    Earlier lines are refused at once: their sender may wait for an answer.
+    Earlier lines are refused at once: their sender may wait for an answer. Poses say nothing of the rows: the
+    newest are kept, and earlier ones go to ``refuse`` too.
     """
+    poses = deque[tuple[int, bytes]]()
     for number, line in lines:
         try:
-            return chain([(number, line)], lines), dict(parse_line(text_of(line)))
+            given = dict(parse_line(text_of(line)))
         except InputError:
             refuse(number, line)
-    return iter(()), None
+            continue
+        if POSE not in given:
+            return chain(poses, [(number, line)], lines), given
+        poses.append((number, line))
+        if len(poses) > MOST_POSES:
+            refuse(*poses.popleft())
+    return iter(poses), None
 
 
 @dataclass(frozen=True)
@@ -456,5 +514,5 @@ class StreamNames:
         return int(count) + units if float(count).is_integer() else count + units
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)

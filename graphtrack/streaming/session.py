@@ -45,6 +45,7 @@ from graphtrack.streaming.answers import (
     StreamBounds,
     TrackAnswers,
 )
+from graphtrack.streaming.moving import MovingSensors
 from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
 from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
 from graphtrack.tracking import OnlineTracker
@@ -115,7 +116,13 @@ class Answers:
             self._of_scene,
             unused_columns(self.model, self.camera),
             commons_of(self.constants, self.model),
+            self._moving(),
         )
+
+    def _moving(self) -> MovingSensors:
+        likelihood = self.model.parameters.likelihood
+        undeclared = likelihood.position_std, likelihood.velocity_std
+        return MovingSensors(self.lag, self._bounds.jump, undeclared)
 
     @property
     def _bounds(self) -> StreamBounds:
@@ -162,6 +169,7 @@ class Answers:
             asked=self.asked,
             bounds=self._bounds,
             unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
+            moving=self._moving(),
         )
 
     def restored_scene(self, key: Any, saved: Any) -> DetectionStream:
@@ -259,8 +267,12 @@ def track_stream(
     def emit(row: Row) -> None:
         give(row if names.are_native else names.restored(row))
 
+    refused = 0
+
     def refuse(number: int, line: bytes) -> None:
+        nonlocal refused
         for row in nobody.answers(number, line):
+            refused += "error" in row
             emit(row)
         listener.answered(nobody)
         listener.all_answered()
@@ -300,7 +312,7 @@ def track_stream(
         rows, wrong = _answer(lines, people, saving, listener, emit, _is_here(incoming))
         if saving is not None:
             saving.finish()
-    return rows + nobody.rows, wrong + nobody.rows
+    return rows + nobody.rows, wrong + refused
 
 
 def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:

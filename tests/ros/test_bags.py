@@ -13,6 +13,7 @@ from command import ran
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from recordings import (
+    START,
     STORE,
     covariance,
     detection,
@@ -243,6 +244,30 @@ def test_tf_brings_people_to_the_fixed_frame(tmp_path):
         gt.InputError, match=r"no tf between 'laser' and 'moon', expected one of base_link, laser, map, odom"
     ):
         gt.read(bag, fixed_frame="moon")
+
+
+def test_tf_of_a_bag_turns_rows_of_a_table_into_the_world(tmp_path):
+    """Columns sensor are frames; rows without one are in base_link. Both see somebody who stands in odom."""
+    bag = record(tmp_path / "bag", {"/people": walkers()} | turning_robot())
+    rows = []
+    for k, t in enumerate(TIMES):
+        for sensor, ahead, mounted in (("laser", 0.2, 0.3), ("", 0.0, 0.0)):
+            place = np.array([t + ahead * math.cos(0.5 * t), ahead * math.sin(0.5 * t)])
+            angle = 0.5 * t + mounted
+            back = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+            x, y = back @ (np.array([3.0, 2.0]) - place)
+            stamp = START / 1e9 + t
+            rows.append({"track_id": 1, "frame": k, "t": stamp, "x": x, "y": y, "sensor": sensor})
+    names = list(rows[0])
+    table = {name: [row[name] for row in rows] for name in names}
+    (track,) = gt.read(table, poses=bag, fixed_frame="odom")
+    np.testing.assert_allclose(track.position, np.tile([3.0, 2.0], (len(rows), 1)), atol=1e-4)
+    (track,) = gt.read(table, poses=bag)  # in map, the first of REP 105's names
+    np.testing.assert_allclose(track.position, np.tile([3.0, 9.0], (len(rows), 1)), atol=1e-4)
+    with pytest.raises(gt.InputError, match="no fixed frame 'moon'"):
+        gt.read(table, poses=bag, fixed_frame="moon")
+    with pytest.raises(gt.InputError, match="no fixed frame 'map', expected --fixed-frame"):
+        gt.read(table, poses=record(tmp_path / "other", {"/people": walkers()}))
 
 
 def test_rows_at_times_without_tf_are_counted(tmp_path):

@@ -26,7 +26,8 @@ _LABEL = (
     *("frame", "id", "class", "truncated", "occluded", "alpha", "left", "top", "right", "bottom"),
     *("height", "width", "length", "x", "y", "z", "rotation_y", "score"),
 )
-_OXTS_COLUMNS = 30
+OXTS_COLUMNS = 30
+"""Numbers of a line of ego motion."""
 _EARTH_RADIUS = 6378137.0  # metres; as in the devkit, the WGS 84 ellipsoid at the equator
 
 
@@ -58,7 +59,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     calibration = _given_or_companion(
         of_sensors, "ego_calibration", options.ego_calibration, source.path, notes
     )
-    poses = _read_poses(oxts)
+    poses = ego_poses(Source.open(oxts))
     outside = (frame[kept] < 0) | (frame[kept] >= len(poses))
     if outside.any():
         row = int(kept[np.argmax(outside)])
@@ -94,12 +95,15 @@ def _given_or_companion(
     return found
 
 
-def _read_poses(path: Path) -> FloatArray:
-    """Return ego poses (n, 4, 4), inertial unit → world, from latitude, longitude, altitude and attitude."""
+def ego_poses(source: Source) -> FloatArray:
+    """Return ego poses (n, 4, 4), inertial unit → world, from latitude, longitude, altitude and attitude.
+
+    The unit's axes are forward, left and up; those of the world east, north and up, from the first pose.
+    """
     from scipy.spatial.transform import Rotation
 
     names = ("lat", "lon", "alt", "roll", "pitch", "yaw")
-    table = read_numbers(Source.open(path), delimiter=None, widths=(_OXTS_COLUMNS,), names=names)
+    table = read_numbers(source, delimiter=None, widths=(OXTS_COLUMNS,), names=names)
     latitude, longitude = table.bounded(0, -89.0, 89.0), table.bounded(1, -180.0, 180.0)
     altitude = table.metres(2)
     angles = np.column_stack([table.bounded(k, -1e3, 1e3) for k in (5, 4, 3)])

@@ -22,6 +22,7 @@ from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
 from graphtrack.io.format import CLASSIC, HDF5, Format, rate_of, steady_rate
 from graphtrack.io.options import Reading, ReadOptions
+from graphtrack.io.poses import placed_by_poses
 from graphtrack.io.source import Source
 from graphtrack.packages import package
 from graphtrack.tracks.cells import METRES, Layout, numbered_names, numbered_times
@@ -498,7 +499,8 @@ def from_movement(dataset: Any, **options: Unpack[Reading]) -> TrackSet:
     InputError
         For an invalid dataset, and for missing options.
     """
-    rows = rows_of_dataset(dataset, ReadOptions.named(**options), Path("dataset"))
+    chosen = ReadOptions.named(**options)
+    rows = placed_by_poses(rows_of_dataset(dataset, chosen, Path("dataset")), chosen)
     return TrackSet.from_identified_rows(rows)
 
 

@@ -167,6 +167,14 @@ class Transforms:
         found = self._along(up[: up.index(shared)], stamps)
         return self._along(other[: other.index(shared)], stamps).inverse().after(found)
 
+    def stamps(self, frame: str, fixed: str) -> NDArray[np.int64]:
+        """Return the times (n,) ascending, in nanoseconds, of transforms between two frames that change."""
+        up, other = self._to_root(frame), self._to_root(fixed)
+        shared = next((one for one in up if one in other), None)
+        between = [*up[: up.index(shared)], *other[: other.index(shared)]] if shared is not None else []
+        moving = [_in_order(self._links[one])[0] for one in between if not self._links[one].static]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *moving]))
+
     def _named(self) -> str:
         frames = self.frames
         return ", ".join(frames[:20]) + (" …" if len(frames) > 20 else "") if frames else "a bag with tf"
@@ -281,7 +289,8 @@ class Humans:
         return pose.translation[:, :2], orientation((frames["body"], "x")), head, pose.known
 
 
-_USUAL = ("map", "odom", "world", "earth", "")  # fixed frames of reference, by REP 105
+FIXED_FRAMES = ("map", "odom", "world", "earth")
+"""Fixed frames of reference, by REP 105."""
 
 
 class GroundFrame:
@@ -310,7 +319,7 @@ class GroundFrame:
         """Notes on assumptions."""
         if self._was_given:
             return [f"positions are in the frame {self.fixed}"]
-        may_move = self._has_transforms and self.fixed not in _USUAL
+        may_move = self._has_transforms and self.fixed not in (*FIXED_FRAMES, "")
         hint = "; --fixed-frame transforms them to a fixed one" if may_move else ""
         return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed{hint}"]
 
@@ -508,15 +517,20 @@ def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> Non
         raise InputError(found, expected, line=number, column=topic)
 
 
+def transforms_of(bag: Bag) -> Transforms:
+    """Return the transforms of a recording."""
+    transforms = Transforms()
+    of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
+    for one, given in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
+        transforms.add(given, static=one.topic.endswith(_STATIC))
+    return transforms
+
+
 def _ground(bag: Bag, topics: list[str], fixed: str | None) -> GroundFrame:
     """Return the transformation to the ground; tf is read where it may be needed."""
     humans = Humans.of(bag, topics[0]) if bag.topics[topics[0]] == IDS else None
     fixed = None if fixed is None else fixed.lstrip("/")
-    transforms = Transforms()
-    if fixed is not None or humans is not None:
-        of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
-        for one, given in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
-            transforms.add(given, static=one.topic.endswith(_STATIC))
+    transforms = Transforms() if fixed is None and humans is None else transforms_of(bag)
     has_transforms = TRANSFORMS in bag.topics.values()
     return GroundFrame(fixed, transforms, humans, has_transforms)
 
