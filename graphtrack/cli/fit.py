@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from graphtrack.io.options import Associate
     from graphtrack.learning import Fit, SceneFit
     from graphtrack.learning.interaction import AttentionFit, GroupFit
+    from graphtrack.tracks.sensors import Sensor
     from graphtrack.tracks.table import Rows
     from graphtrack.tracks.track import TrackSet
 
@@ -49,6 +51,8 @@ def fit(
     """Fit a model to the truth of tracks; without truth, learn what their people have in common.
 
     Tracks with true_x and true_y give a model file (for --model), others constants (for smooth --constants).
+    With --sensors the errors of sensors are learned that the file leaves unknown; 'unknown' in place of a
+    file: all of them.
 
     Parameters
     ----------
@@ -90,6 +94,17 @@ def fit(
             options.refuse({**unused, "--report": report}, f"with --{what}", expected)
             _labelled(reading.tracks(inputs), truth, what, held, output, json_path)
             return
+    if reading.sensors is not None:
+        expected = "rows of several sensors alone"
+        given = {
+            "--scene": scene,
+            "--constants": constants,
+            "--hold-out": hold_out,
+            "--select": reading.select,
+        }
+        options.refuse({**choice, **given}, "with --sensors", expected)
+        _write(sensors_learned(inputs, reading, reading.sensors, model, output), output, json_path, report)
+        return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if constants:
         options.refuse({"--scene": scene}, "with --constants", "one of them")
@@ -111,6 +126,62 @@ def fit(
         chosen = {"hold_out": held, "max_frames": max_frames, "seed": seed}
         given = {name: value for name, value in chosen.items() if value is not None}
         _write(_truth(tracks, model, output, given), output, json_path, report)
+
+
+UNKNOWN = Path("unknown")
+"""Given for --sensors: no description."""
+
+
+def sensors_learned(
+    inputs: list[Path], reading: options.SceneReading, known: Path, model: str | None, output: Path
+) -> Learned:
+    """Learn the errors of sensors, and write their descriptions."""
+    from graphtrack.learning.sensors import Identities, learn_sensors
+    from graphtrack.model import Model
+
+    if len(inputs) > 1:
+        raise InputError("several files", "one recording at a time, to learn its sensors")
+    if reading.poses is not None:
+        raise InputError("--poses where errors of sensors are learned", "sensors at rest")
+    rows, _ = replace(reading, sensors=None, associate="always").rows(inputs[0])
+    emit(f"{rows.path}: {rows.format}, {counted(len(rows), 'row')}")
+    by_option: dict[str, Identities] = {"repair": "own", "always": "none"}
+    with console.status("learning") as status:
+        found = learn_sensors(
+            rows,
+            None if known == UNKNOWN else known,
+            model,
+            identities=by_option.get(reading.associate),
+            scene=Model.named(model).scene,
+            progress=lambda done, total: status.update(f"learning: {done} of at most {total} rounds"),
+        )
+    found.save(output)
+    use = f"to use it: graphtrack smooth FILE -o OUTPUT --sensors {output}"
+    table = {"Errors of the sensors, ± 1-σ": sensor_rows(found)}
+    return {"sensors": {name: one.to_table() for name, one in found.items()}}, [use], table
+
+
+def sensor_rows(sensors: Mapping[str, Sensor]) -> list[dict[str, object]]:
+    """Return a row for each sensor, of its errors with their 1-σ."""
+
+    def shown(value: float | None, std: float | None) -> str:
+        return "" if value is None else f"{value:.3f}" + ("" if std is None else f" ± {std:.3f}")
+
+    def degrees(angle: float | None) -> float | None:
+        return None if angle is None else math.degrees(angle)
+
+    nothing = (None, None)
+    return [
+        {
+            "sensor": name,
+            "shift x, m": shown((one.shift or nothing)[0], (one.shift_std or nothing)[0]),
+            "y, m": shown((one.shift or nothing)[1], (one.shift_std or nothing)[1]),
+            "rotation, °": shown(degrees(one.rotation), degrees(one.rotation_std)),
+            "angle bias, °": shown(degrees(one.angle_bias), degrees(one.angle_bias_std)),
+            "clock, s": shown(one.clock_offset, one.clock_offset_std),
+        }
+        for name, one in sensors.items()
+    ]
 
 
 def _truth(tracks: TrackSet, model: str | None, output: Path, given: Mapping[str, Any]) -> Learned:

@@ -139,7 +139,7 @@ class MetricReading:
     fps: float | None = None
     format: str | None = None
     select: Annotated[list[str] | None, typer.Option(metavar="PATTERN")] = None
-    sensors: InputFile | None = None
+    sensors: Annotated[Path | None, typer.Option(metavar="FILE")] = None
     max_memory: Annotated[float | None, typer.Option(metavar="GIB")] = None
     columns: Annotated[str | None, typer.Option(metavar="KEY=NAME,...")] = None
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = None

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, progress_bar, write_tracks
+from graphtrack.cli.console import BAD_INPUT, emit, print_table, progress_bar, write_tracks
+from graphtrack.cli.fit import UNKNOWN, sensors_learned
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import check_place, destination, scratch_folder
 from graphtrack.io.source import table_in
@@ -142,6 +144,7 @@ def smooth(
     split_gap: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
     walkable: options.Walkable = None,
+    learn_sensors: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
     stream: bool | None = None,
@@ -158,6 +161,8 @@ def smooth(
     split_gap : An id that comes back after so long, or where nobody walks in the time, is another track;
         default 60.
     resample : Frames a second of the estimates.
+    learn_sensors : Learn the errors of sensors that --sensors leaves unknown, from this input, and write them
+        (.toml).
     jobs : Tracks in parallel: threads (chain; by default one for each processor) or processes (gtsam).
     report : Write an HTML report too.
 
@@ -169,7 +174,7 @@ def smooth(
     cluster : Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.
     """
     options.check_outputs(
-        {"--output": output, "--report": report},
+        {"--output": output, "--report": report, "--learn-sensors": learn_sensors},
         {**reading.inputs(inputs, model), "--walkable": walkable},
         table=output,
     )
@@ -184,7 +189,7 @@ def smooth(
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
-        unused |= {"--split-gap": split_gap}
+        unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", *options.CAMERA)
         given = reading.given().items()
@@ -203,6 +208,15 @@ def smooth(
             constants=constants,
         )
         return
+    if learn_sensors is not None:
+        if learn_sensors.suffix != ".toml":
+            raise InputError(f"--learn-sensors {learn_sensors.name!r}", "a name that ends in .toml")
+        known = UNKNOWN if reading.sensors is None else reading.sensors
+        _, _, tables = sensors_learned(inputs, reading, known, model, learn_sensors)
+        for title, rows in tables.items():
+            print_table(title, rows)
+        emit(f"wrote {learn_sensors}")
+        reading = replace(reading, sensors=learn_sensors)
     tracks = reading.tracks(inputs, scene=chosen.scene, missed_rows=fill is not False)
     work = prepare(
         tracks,

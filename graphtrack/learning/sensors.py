@@ -10,18 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.associate import with_identities, with_repaired_identities
+from graphtrack.association.associate import rows_of, with_identities, with_repaired_identities
 from graphtrack.constants.filters import REHEARSAL
 from graphtrack.constants.personal import parameters_of, solve_learned
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.engines import Solution, engine_of, make_solver_ready
 from graphtrack.inference.offline import solve_each
+from graphtrack.io.options import FileReading
+from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.learning.alignment import aligned, joined, ways_of
 from graphtrack.model import Model
 from graphtrack.model.given import covariances_of, observed_direction, velocity_covariances_of
@@ -45,11 +48,17 @@ from graphtrack.tracks.sensors import Sensor, Sensors, corrected
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
 
+if TYPE_CHECKING:
+    from graphtrack.association.associate import Detected
+
 MOST_ROWS = 20_000
 """Rows that errors are learned from: of the people whom most sensors observe."""
 
 _ROUNDS = 12
 """Times that rows are corrected, people smoothed, and errors learned, at most."""
+
+_ROW = "input_row"
+"""Channel with the number of a row before it was selected."""
 
 _ASSOCIATIONS = 2
 """Times that people are joined across sensors."""
@@ -69,14 +78,15 @@ Identities = Literal["shared", "own", "none"]
 
 
 def learn_sensors(
-    rows: Rows,
-    known: Sensors | None = None,
-    model: Model | None = None,
+    detections: Detected | Rows,
+    known: SensorsLike | None = None,
+    model: Model | str | Path | None = None,
     *,
-    identities: Identities = "shared",
+    identities: Identities | None = None,
     scene: GivenScene = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, Sensor]:
+    **reading: Unpack[FileReading],
+) -> SensorScene:
     """Learn the errors of sensors with their standard deviations, from the people whom they observe.
 
     Errors are relative to the first sensor that is described, else to that of the first row: its own are what
@@ -84,38 +94,42 @@ def learn_sensors(
 
     Parameters
     ----------
-    rows : of several sensors on the ground
-    known : descriptions; errors that they have are not learned
-    identities : "shared", of people; "own", of the tracker of each sensor; "none"
+    detections : rows of several sensors on the ground, as in `associate`, and not corrected
+    known : descriptions, or their file; errors that they have are not learned
+    model : as in `solve`; by default "joint"
+    identities : "shared", of people; "own", of the tracker of each sensor; "none". By default "shared" where
+        rows have identities
     scene : known parameters of the scene, where identities are not shared
     progress : called with rounds done and at most
+    **reading : options of `read`, where ``detections`` is a path or a table
 
     Returns
     -------
-    name → description, with what was learned
+    SensorScene
+        The descriptions, with what was learned
 
     Raises
     ------
     InputError
         For rows of fewer than two sensors, or if no two sensors observe one person.
     """
+    rows = detections if isinstance(detections, Rows) else rows_of(detections, **reading)
     if rows.sensor is None or len(names := list(dict.fromkeys(rows.sensor.tolist()))) < 2:
         raise InputError("rows of one sensor", "a column sensor with the names of several", path=rows.path)
-    described = {} if known is None else dict(known)
+    described = dict({} if known is None else SensorScene.of(known))
     names = [name for name in described if name in names] + [n for n in names if n not in described]
-    chosen = Model() if model is None else model
-    learning = _Learning(rows, names, described, chosen)
-    if identities == "shared":
+    learning = _Learning(rows, names, described, Model.named(model))
+    given = identities or ("shared" if rows.has_identity else "none")
+    if given == "shared":
         learning.run(rows, progress)
-        return described | learning.found()
-    alone = rows if identities == "own" else with_own_identities(rows, scene)
+        return SensorScene(described | learning.found())
+    alone = rows if given == "own" else with_own_identities(rows, scene)
     learning.align(alone)
     for _ in range(_ASSOCIATIONS):
-        with_people = associated_rows(corrected(_with_index(alone), learning.found()), scene)
-        index = with_people.channels["input_row"].astype(int)
-        shared = replace(alone.taken(index), track_id=with_people.track_id, labels={})
-        learning.run(shared, progress)
-    return described | learning.found()
+        joined_rows = with_repaired_identities(corrected(_with_index(alone), learning.found()), scene)
+        index = joined_rows.channels[_ROW].astype(int)
+        learning.run(replace(alone.taken(index), track_id=joined_rows.track_id, labels={}), progress)
+    return SensorScene(described | learning.found())
 
 
 def with_own_identities(rows: Rows, scene: GivenScene = None) -> Rows:
@@ -125,18 +139,13 @@ def with_own_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     for name in dict.fromkeys(rows.sensor.tolist()):
         here = np.flatnonzero(rows.sensor == name)
         alone = with_identities(replace(index.taken(here), sensor=None), scene)
-        found[alone.channels["input_row"].astype(int)] = alone.track_id
+        found[alone.channels[_ROW].astype(int)] = alone.track_id
     found[found >= 0] += 1
     return replace(rows, track_id=found, has_identity=True, labels={}).taken(np.flatnonzero(found >= 0))
 
 
-def associated_rows(rows: Rows, scene: GivenScene = None) -> Rows:
-    """Return rows whose people are joined across sensors that have identities of their own."""
-    return with_repaired_identities(rows, scene)
-
-
 def _with_index(rows: Rows) -> Rows:
-    return rows.with_channels(input_row=np.arange(len(rows), dtype=float))
+    return rows.with_channels(**{_ROW: np.arange(len(rows), dtype=float)})
 
 
 def _chosen(rows: Rows) -> Rows:

@@ -128,9 +128,9 @@ _KINDS = 1024  # Size of the cache of packed frames, some kilobytes each; the ol
 class FramePacker:
     """Frames packed one at a time, with a cache by kind.
 
-    The kind is the set of observed channels, their declared noise, and the time since the previous frame. A
-    frame with inputs, pixels or class likelihoods is a kind of its own: those of a window are read again at
-    each step.
+    The kind is the set of observed channels, their declared noise in one number, and the time since the
+    previous frame. A frame with inputs, pixels or class likelihoods is a kind of its own: those of a window
+    are read again at each step.
     """
 
     def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
@@ -148,9 +148,6 @@ class FramePacker:
         seconds = 0.0 if dt is None else round(dt, 14)
         simple = (
             observation.pixel is None
-            and observation.position_covariance is None
-            and observation.observed_velocity is None
-            and observation.body_axis is None
             and observation.body_likelihood is None
             and observation.head_likelihood is None
         )
@@ -164,8 +161,12 @@ class FramePacker:
                 observation.position_std,
                 observation.body_kappa,
                 observation.head_kappa,
+                observation.body_axis_kappa,
                 observation.position is None,
+                observation.position_covariance is None,
+                observation.observed_velocity is None,
                 observation.body is None,
+                observation.body_axis is None,
                 observation.head is None,
             )
         known = self._known.get(kind)

@@ -57,8 +57,8 @@ class Observed:
         n, false = len(self.columns["t"]), int(np.isnan(self.columns[TRUE_ID]).sum())
         observing = len(np.unique(self.columns["sensor"]))
         return (
-            f"{counted(len(self.truth), 'person')}, {counted(observing, 'sensor')}, {counted(n, 'detection')}, "
-            f"{false} of them false"
+            f"{counted(len(self.truth), 'person')}, {counted(observing, 'sensor')}, "
+            f"{counted(n, 'detection')}, {false} of them false"
         ).replace("persons", "people")
 
 

@@ -270,6 +270,14 @@ class BodyLikelihood(_PoseLikelihood):
     )
     kernels = (*_observed("body"), OBSERVED_AXIS)
 
+    def live(self, observed: Observation) -> Sequence[tuple[str, float]]:
+        """The direction of an observed angle, and of twice an axis."""
+        found = super().live(observed)
+        if observed.body_axis is None:
+            return found
+        twice = 2.0 * observed.body_axis
+        return (*found, ("body_axis_cos", math.cos(twice)), ("body_axis_sin", math.sin(twice)))
+
     def pack(self, packed: PackedTracks) -> None:
         """Pack observed angles or class likelihoods, and axes."""
         super().pack(packed)

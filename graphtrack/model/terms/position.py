@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.layout import Field
 from graphtrack.model.costs import Cost
 from graphtrack.model.kernel import Kernel
-from graphtrack.model.observation import Observation, Step
+from graphtrack.model.observation import Covariance, Observation, Step
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.term import Term
@@ -89,6 +90,7 @@ OBSERVED_POSITION = Kernel(
     names={"information": "position_information"},
 )
 _ROOT = ("xx", "xy", "yy")
+_ELLIPSE, _VELOCITY = ([f"{name}_{part}" for part in _ROOT] for name in ("ellipse", "velocity"))
 OBSERVED_ELLIPSE = Kernel(
     observed_ellipse,
     gate="ellipse_xx",
@@ -115,6 +117,13 @@ def _roots(covariance: FloatArray) -> FloatArray:
     variance, both = covariance[:, 1, 1], covariance[:, 0, 1]
     xx = 1.0 / np.sqrt(covariance[:, 0, 0] - both**2 / variance)
     return np.stack([xx, -xx * both / variance, 1.0 / np.sqrt(variance)], axis=1)
+
+
+def _root(covariance: Covariance, scale: float) -> tuple[tuple[float, float, float], float]:
+    """Return the root of the inverse of a scaled covariance, as `_roots`, and the mean variance, m²."""
+    (first, both), (_, second) = covariance
+    xx = 1.0 / (scale * math.sqrt(first - both * both / second))
+    return (xx, -xx * both / second, 1.0 / (scale * math.sqrt(second))), 0.5 * scale**2 * (first + second)
 
 
 def _gaussian(covariance: FloatArray) -> gtsam.noiseModel.Base:
@@ -191,8 +200,22 @@ class PositionLikelihood(Term):
         return not packed.shared["robust"][0] and not further
 
     def live(self, observed: Observation) -> Iterable[tuple[str, float]]:
-        """The observed position."""
-        return () if observed.position is None else zip("xy", observed.position, strict=True)
+        """The observed position and velocity, and their covariances."""
+        if observed.position is None and observed.observed_velocity is None:
+            return ()
+        likelihood, found = self.parameters.likelihood, list[tuple[str, float]]()
+        if observed.position is not None:
+            found += zip("xy", observed.position, strict=True)
+            if observed.position_covariance is not None:
+                root, mean = _root(observed.position_covariance, likelihood.position_scale)
+                found += zip(_ELLIPSE, root, strict=True)
+                found.append(("position_information", 1.0 / mean))
+        if observed.observed_velocity is not None:
+            found += zip(("observed_vx", "observed_vy"), observed.observed_velocity, strict=True)
+            covariance, std = observed.observed_velocity_covariance, likelihood.velocity_std
+            root = (1.0 / std, 0.0, 1.0 / std) if covariance is None else _root(covariance, 1.0)[0]
+            found += zip(_VELOCITY, root, strict=True)
+        return found
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed positions or pixels with their information, and the robust loss."""
