@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.constant_velocity import compiled_noise, compiled_spread
+from graphtrack.constants.ellipses import filter_ellipses, make_ellipses_ready
 from graphtrack.geometry.angles import (
     FloatArray,
     unit,
@@ -23,7 +24,7 @@ from graphtrack.geometry.angles import (
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import TRACK, Rehearsal, allocating, compiled, inner
-from graphtrack.model.given import observed_direction
+from graphtrack.model.given import covariances_of, observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
@@ -60,10 +61,14 @@ def motion_evidence(
     found, densities = np.zeros((2, len(tracks), len(densities))), np.array(densities)  # writable: one type
     given, speed_variance = _times(tracks), parameters.motion.initial_speed_std**2
     if persistent is None or not persistent.is_any:
-        position, memory = (
-            np.concatenate([track.position - _origin(track) for track in tracks]),
-            np.zeros(ROW_OF_PATH),
-        )
+        position = np.concatenate([track.position - _origin(track) for track in tracks])
+        if any(track.position_covariance is not None for track in tracks):
+            make_ellipses_ready()
+            likelihood = parameters.likelihood
+            noise = np.concatenate([covariances_of(track, likelihood) for track in tracks])
+            filter_ellipses(*given, position, noise, speed_variance, densities, (OUTLIERS, ASTRAY), found)
+            return found[0], found[1]
+        memory = np.zeros(ROW_OF_PATH)
         filter_positions(*given, position, variance, speed_variance, densities, memory, found)
         return found[0], found[1]
     position = np.concatenate([_along_and_across(track, camera) for track in tracks])
