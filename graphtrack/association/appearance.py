@@ -274,6 +274,69 @@ class ScoreRatio:
         return np.where(np.isfinite(score), self.ratio[np.searchsorted(self.edges, score, "right")], 0.0)
 
 
+_FEWEST_PAIRED = 5  # people of two sensors from which their colours are compared person by person
+_PRIOR_PEOPLE = 10.0  # people with unchanged scales that those of a sensor are weighed against
+
+
+@dataclass(frozen=True, eq=False)
+class Colours:
+    """Change of descriptors between sensors, such as of colours: descriptors of the first sensor are kept.
+
+    Attributes
+    ----------
+    shift, scale : (s, d), of each sensor; what the first would have is (descriptor − shift)/scale
+    """
+
+    shift: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def learned(cls, descriptors: FloatArray, sensor: IntArray, identity: IntArray) -> Colours | None:
+        """Learn the changes from the people of each sensor; None: one sensor, or no descriptors.
+
+        Of people whom a sensor and the first observe the mean change is taken, else the change of the mean
+        over all people. ``identity`` (n,) is −1 for false detections.
+        """
+        count = int(sensor.max(initial=0)) + 1
+        if count < 2 or not descriptors.shape[1]:
+            return None
+        known = has_descriptor(descriptors) & (identity >= 0)
+        people = int(identity.max(initial=0)) + 1
+        each = [_person_means(descriptors, known & (sensor == s), identity, people) for s in range(count)]
+        shift, scale = np.zeros((count, descriptors.shape[1])), np.ones((count, descriptors.shape[1]))
+        first = each[0]
+        for s in range(1, count):
+            own, both = each[s], ~np.isnan(first[:, 0] + each[s][:, 0])
+            some = ~np.isnan(own[:, 0])
+            if not some.any() or np.isnan(first[:, 0]).all():
+                continue
+            spreads = [np.nanstd(part, axis=0) + 1e-9 for part in (own, first)]
+            weight = some.sum() / (some.sum() + _PRIOR_PEOPLE)
+            scale[s] = (spreads[0] / spreads[1]) ** weight
+            if both.sum() >= _FEWEST_PAIRED:
+                shift[s] = (own[both] - scale[s] * first[both]).mean(axis=0)
+            else:
+                shift[s] = np.nanmean(own, axis=0) - scale[s] * np.nanmean(first, axis=0)
+        return cls(shift, scale)
+
+    def removed(self, descriptors: FloatArray, sensor: IntArray) -> FloatArray:
+        """Return descriptors (n, d) as the first sensor would have them; new sensors change nothing."""
+        number = np.minimum(sensor, len(self.shift))
+        shift = np.vstack([self.shift, np.zeros_like(self.shift[:1])])[number]
+        scale = np.vstack([self.scale, np.ones_like(self.scale[:1])])[number]
+        return np.asarray((descriptors - shift) / scale)
+
+
+def _person_means(
+    descriptors: FloatArray, known: NDArray[np.bool_], identity: IntArray, people: int
+) -> FloatArray:
+    """Return the mean descriptor (people, d) of each person, NaN for those without one."""
+    count = np.bincount(identity[known], minlength=people)
+    total = np.zeros((people, descriptors.shape[1]))
+    np.add.at(total, identity[known], descriptors[known])
+    return np.asarray(total / np.where(count, count, np.nan)[:, None])
+
+
 @dataclass(frozen=True, eq=False)
 class AppearanceEvidence:
     """Evidence of appearance and detection scores, learned from tracks.
@@ -283,11 +346,13 @@ class AppearanceEvidence:
     model : of descriptors; None: no descriptors
     constancy : see `resemblance_of_false_detections`
     scores : ratio of detection scores
+    colours : changes of descriptors between sensors; None: none
     """
 
     model: AppearanceModel | None = None
     constancy: float = 0.0
     scores: ScoreRatio = field(default_factory=ScoreRatio)
+    colours: Colours | None = None
 
     def in_scene(self, scene: SceneRow) -> SceneRow:
         """A scene with the constants of the appearance model."""
@@ -302,6 +367,8 @@ class AppearanceEvidence:
         """Chains with descriptors (n, d), whitened by the model."""
         if self.model is None:
             return chains
+        if self.colours is not None:
+            descriptors = self.colours.removed(descriptors, chains.sensor)
         return chains._replace(appearance=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:

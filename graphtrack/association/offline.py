@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association.appearance import (
     AppearanceEvidence,
+    Colours,
     ScoreRatio,
     constancy,
     evidence_of_tracks,
@@ -31,6 +32,7 @@ from graphtrack.association.likelihood import (
     scene_of,
 )
 from graphtrack.association.moves import WORTHLESS, Moves
+from graphtrack.association.parallel import join_parallel
 from graphtrack.association.scene import (
     GroundRates,
     duplicate_density,
@@ -134,6 +136,7 @@ def repair_detections(
     for _ in range(ROUNDS):
         search.adopt(search.learned())
         search.settle()
+        search.join_sensors()
     root, _ = search.roots()
     return search.found(_renamed(root, given))
 
@@ -188,11 +191,20 @@ class _Search(Moves):
             # Link probabilities are those of the last round.
             self.worthless = WORTHLESS if k == rounds - 1 else 0.0
             self.settle(progress, k * SWEEPS, rounds * SWEEPS)
+            self.join_sensors()
         progress(rounds * SWEEPS, rounds * SWEEPS)
 
     def appearance_of(self, identity: NDArray[np.int64]) -> AppearanceEvidence:
         """The ratios of appearance and scores that the tracks show."""
-        return evidence_of_tracks(self.chains, identity, self._descriptors, self._score)
+        found = evidence_of_tracks(self.chains, identity, self._like_first(), self._score)
+        return replace(found, colours=self._appearance.colours)
+
+    def _like_first(self) -> FloatArray:
+        """The descriptors (n, d) as the first sensor would have them."""
+        colours = self._appearance.colours
+        if colours is None:
+            return self._descriptors
+        return colours.removed(self._descriptors, self.detections.sensor)
 
     def begin_with(self, given: NDArray[np.int64]) -> None:
         """Start from the tracks of given identities (n,), from 0, and trust them; −1: none.
@@ -225,9 +237,9 @@ class _Search(Moves):
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         model, each = self._appearance.model, 0.0
         if model is not None:
-            each = constancy(self.chains, identity, model, self._descriptors)
+            each = constancy(self.chains, identity, model, self._like_first())
         scores = ScoreRatio.learned(self._score, identity) if (identity >= 0).any() else ScoreRatio()
-        self._appearance = AppearanceEvidence(model, each, scores)
+        self._appearance = AppearanceEvidence(model, each, scores, self._appearance.colours)
         self.chains.gain[:] += self._appearance.gain(self._descriptors, self._score)
         self.filter_from(0)
 
@@ -236,7 +248,10 @@ class _Search(Moves):
         identity, detections = self.identities(), self.detections
         scene = learn_duplicates(detections.step, detections.position, identity, self.scene, self._known)
         if self._descriptors.shape[1]:
-            self._appearance = AppearanceEvidence(learn_appearance(self.chains, identity, self._descriptors))
+            colours = Colours.learned(self._descriptors, detections.sensor, identity)
+            self._appearance = AppearanceEvidence(colours=colours)
+            model = learn_appearance(self.chains, identity, self._like_first())
+            self._appearance = replace(self._appearance, model=model)
         seconds = self.packed.frame_seconds
         scene = learn_orientation(self.chains, scene, seconds, self._known, self.velocities)
         return learn_scene(self.chains, identity, scene, self._std, seconds, self._known, self.velocities)
@@ -266,6 +281,12 @@ class _Search(Moves):
         self.sweep()
         self.packed, self.remembers = packed, True
         self.filter_from(0)
+
+    def join_sensors(self) -> None:
+        """Join tracks of one person by several sensors, and settle again."""
+        if self.detections.scans.shape[1] and join_parallel(self.chains, self.packed):
+            self.filter_from(0)
+            self.settle()
 
     def settle(
         self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0

@@ -492,13 +492,15 @@ def track_rows(
     note = f"associated {len(rows)} detections online: {len(estimates)} people; {revised} identities revised"
     rows = replace(rows, track_id=identity, has_identity=True, labels={}, frame=scans.number)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    if rows.sensor is not None:
+        rows = rows.with_channels(t=scans.t[scans.number])  # of one scan, without differences by rounding
     tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
 
     def estimated(track: Track) -> Track:
         some = estimates[track.track_id]
         number = np.array([one for one, _ in some])
         sensor = None if rows.sensor is None else np.array(names)[scans.sensor[number]]
-        found = with_rows(track, number, np.array([person.t for _, person in some]), sensor)
+        found = with_rows(track, number, scans.t[number], sensor)
         found = replace(found, frame=scans.frame[number])
         return as_track(found, [person for _, person in some], tracker.model)
 
