@@ -26,7 +26,6 @@ from graphtrack.association.likelihood import (
     head_worth,
     is_new,
     is_within,
-    log_at_least,
     log_between,
     log_end,
     log_gap,
@@ -65,7 +64,6 @@ FRAME_GROUP = np.dtype(
         ("cells_y", np.int64),
         ("first_cell", np.int64),
         ("first_frame", np.int64),
-        ("first", np.int64),  # its first detection
     ]
 )
 """Detections of consecutive frames, and the grid that they lie in."""
@@ -99,8 +97,6 @@ def grid_of(chains: Chains, detections: IntArray, columns: IntArray) -> Grid:
     for i in range(n):
         row, g = chains.rows[detections[columns[i]]], group[i]
         one = groups[g]
-        if sizes[g] == 0:
-            one.first = detections[columns[i]]
         one.earliest, one.latest = min(one.earliest, row.t), max(one.latest, row.t)
         one.greatest_variance = max(one.greatest_variance, row.variance)
         one.least_variance = min(one.least_variance, row.variance)
@@ -153,7 +149,6 @@ def near_detections(
     state: State,
     t: float,
     frame: int,
-    head: int,
     grid: Grid,
     bounds: FloatArray,
     scene: SceneRow,
@@ -164,7 +159,6 @@ def near_detections(
     Parameters
     ----------
     state, t, frame : of a person, at a time (s) and in a frame
-    head : detection after which that is; −1: none
     bounds : (groups,) greatest gain of links to each group over the gain needed, without position and gap
     """
     count, longest = 0, scene.longest_gap + TIME_TOLERANCE
@@ -175,10 +169,8 @@ def near_detections(
             continue
         narrow = not is_new(state) and state.pv >= 0.0  # so that the variance grows with time
         least = spread_after(soon, state, group.least_variance, scene) if narrow else group.least_variance
-        if chains.scans.shape[1]:
-            gone = log_at_least(chains, head, group.first, scene)
-        else:
-            gone = log_gap(group.first_frame - frame - 1, scene)
+        # Of several sensors some may not see the person.
+        gone = log_gap(group.first_frame - frame - 1, scene) if not chains.scans.shape[1] else 0.0
         bound = bounds[g] + gone - math.log(2.0 * math.pi * least)
         if bound <= 0.0:
             continue
@@ -336,7 +328,7 @@ def gains_of_links(
         more = head_worth(chains, k, scene)
         grid, offered = (every, offered_every) if fresh[0][i] else (new, offered_new)
         bounds = offered + more
-        count = near_detections(chains, before, earlier.t, earlier.frame, k, grid, bounds, scene, near)
+        count = near_detections(chains, before, earlier.t, earlier.frame, grid, bounds, scene, near)
         for j in near[:count]:
             m = columns[j]
             if math.isnan(value[j]):
@@ -394,7 +386,7 @@ def gains_of_detections(
         if k >= 0:
             without, one = state_after(chains, k, scene, state[0]), chains.rows[k]
             bounds[0] = np.inf if m >= 0 else head_worth(chains, k, scene) + most + last
-            count = near_detections(chains, chains.state[k], one.t, one.frame, k, grid, bounds, scene, near)
+            count = near_detections(chains, chains.state[k], one.t, one.frame, grid, bounds, scene, near)
         else:
             # As far from the tail as a new person may have walked.
             without, later = evidence_as_new(chains, m, scene, state[0]), chains.rows[m]
@@ -405,7 +397,7 @@ def gains_of_detections(
             back[0].x, back[0].y = later.x, later.y
             back[0].pp = compiled_spread(later.variance, 0.0, scene.speed_variance, dt, scene.density)[0]
             count = near_detections(
-                chains, back[0], math.nextafter(now, -math.inf), frame - 1, -1, grid, bounds, scene, near
+                chains, back[0], math.nextafter(now, -math.inf), frame - 1, grid, bounds, scene, near
             )
         for j in near[:count]:
             d = columns[j]

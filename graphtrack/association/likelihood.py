@@ -52,6 +52,13 @@ ANY_VELOCITY = np.array([(1.0, 0.0, 0.0, 1.0)], VELOCITY)
 """A prior of velocities of one component."""
 
 
+EDGE = 1.0
+"""Metres across the edge of a field of view over which its probability goes from 1 to 0."""
+
+ON_THE_WAY = 5
+"""Places on the way between two detections that are farther apart at which fields of view are read."""
+
+
 class SceneRow(NamedTuple):
     """`SceneParameters.packed`."""
 
@@ -80,6 +87,7 @@ class SceneRow(NamedTuple):
     appearance_outliers: float = 1.0
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
     velocities: NDArray[np.void] = ANY_VELOCITY  # components of the prior, of `VELOCITY`
+    views: FloatArray = np.zeros((0, 16))  # `Views.heights` of several sensors
 
 
 def scene_of(
@@ -348,28 +356,55 @@ def misses_of(missed: FloatArray, frames: FloatArray, scene: SceneRow) -> FloatA
 
 
 @compiled
-def log_at_least(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
-    """Bound of `log_between` after detection k of all detections from m on; k = −1: 0."""
-    frames = chains.rows[m].frame - chains.rows[k].frame - 1
-    if k < 0 or frames <= 0:
-        return 0.0
-    missed = -chains.views[k, chains.rows[k].sensor]
+def view_at(heights: FloatArray, sensor: int, x: float, y: float) -> float:
+    """Return the probability that a place is in the field of view of a sensor; see `sensors.Views`."""
+    beyond = -math.inf
+    for k in range(heights.shape[1]):
+        angle = 2.0 * math.pi * k / heights.shape[1]
+        beyond = max(beyond, x * math.cos(angle) + y * math.sin(angle) - heights[sensor, k])
+    return min(max(0.5 - beyond / EDGE, 0.0), 1.0)
+
+
+@compiled
+def misses_between(chains: Chains, k: int, m: int, heights: FloatArray) -> float:
+    """Return the scans between detections k and m whose sensors see the way between them.
+
+    ``heights``: of `sensors.Views`
+    """
+    earlier, later = chains.rows[k], chains.rows[m]
+    far = abs(later.x - earlier.x) + abs(later.y - earlier.y) > EDGE
+    missed = 0.0
     for s in range(chains.scans.shape[1]):
-        missed += 0.5 * (chains.scans[m, s] - chains.scans[k, s]) * chains.views[k, s]
-    return log_misses(missed, frames, scene)
+        scans = chains.scans[m, s] - chains.scans[k, s] - (1.0 if s == earlier.sensor else 0.0)
+        if scans <= 0.0:
+            continue
+        view = 0.5 * (chains.views[k, s] + chains.views[m, s])
+        if far:
+            view = 0.0
+            for i in range(ON_THE_WAY):
+                share = (i + 0.5) / ON_THE_WAY
+                x, y = earlier.x + share * (later.x - earlier.x), earlier.y + share * (later.y - earlier.y)
+                view += view_at(heights, s, x, y) / ON_THE_WAY
+        missed += scans * view
+    return missed
 
 
 @compiled
 def log_between(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
-    """`log_gap` between detections k and m, of the scans whose sensors see the places of both."""
+    """`log_gap` between detections k and m, of the scans whose sensors see the way between them."""
     frames = chains.rows[m].frame - chains.rows[k].frame - 1
     if not chains.scans.shape[1] or frames <= 0:
         return log_gap(frames, scene)
-    missed = -0.5 * (chains.views[k, chains.rows[k].sensor] + chains.views[m, chains.rows[k].sensor])
-    for s in range(chains.scans.shape[1]):
-        scans = chains.scans[m, s] - chains.scans[k, s]
-        missed += scans * 0.5 * (chains.views[k, s] + chains.views[m, s])
-    return log_misses(missed, frames, scene)
+    return log_misses(misses_between(chains, k, m, scene.views), frames, scene)
+
+
+@compiled
+def count_misses(
+    chains: Chains, before: IntArray, after: IntArray, heights: FloatArray, missed: FloatArray
+) -> None:
+    """Fill `misses_between` of pairs (n,) of detections."""
+    for i in range(len(before)):
+        missed[i] = misses_between(chains, before[i], after[i], heights)
 
 
 @compiled

@@ -43,6 +43,7 @@ from graphtrack.association.scene import (
     learn_scene,
     own_rates,
 )
+from graphtrack.association.sensors import Views, with_longest_gap
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.tracks.detections import APPEARANCE, Detections
@@ -166,6 +167,8 @@ class _Search(Moves):
         self.detections, self._known = detections, known
         alone = detections.of_main_sensor
         scene = replace(first_guess(alone) if start is None else start, **known)
+        self._views = Views.of(detections.position, detections.sensor, detections.scans.shape[1])
+        scene = with_longest_gap(scene, self._views, known)
         self.velocities = first_velocities(alone, scene, known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
@@ -228,7 +231,8 @@ class _Search(Moves):
             detections = self.detections
             self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
         packed = scene_of(scene, self.detections.step_seconds, self.velocities)
-        self.packed = self._appearance.in_scene(packed._replace(trust=self._trust))
+        packed = packed._replace(trust=self._trust, views=self._views.heights)
+        self.packed = self._appearance.in_scene(packed)
         self.chains = self._appearance.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
         births, deaths, clutter = own_rates(self.chains, identity)

@@ -36,7 +36,13 @@ from graphtrack.association.scene import (
     first_guess,
     first_velocities,
 )
-from graphtrack.association.sensors import BETWEEN_SCANS, Views, with_views, with_zeros
+from graphtrack.association.sensors import (
+    BETWEEN_SCANS,
+    Views,
+    with_longest_gap,
+    with_views,
+    with_zeros,
+)
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import OtherSettings, Saved
@@ -522,6 +528,7 @@ class OnlineAssociation(Moves, Saved):
 
     def _prepare(self) -> None:
         """Recompute variances and gains in the revision window, and filter its tracks again."""
+        self.scene = with_longest_gap(self.scene, self._views, self.known)
         self._pack()
         chains = self.chains
         if not self._first:
@@ -551,7 +558,8 @@ class OnlineAssociation(Moves, Saved):
         return one, other, square
 
     def _pack(self) -> None:
-        self.packed = self._appearance.in_scene(scene_of(self.scene, self.step_seconds, self._velocities))
+        packed = scene_of(self.scene, self.step_seconds, self._velocities)
+        self.packed = self._appearance.in_scene(packed._replace(views=self._views.heights))
 
     def _weigh_duplicates(self) -> None:
         """Set the gains of detections: lower near a person who is detected already."""

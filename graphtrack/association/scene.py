@@ -14,8 +14,17 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.likelihood import ANY_VELOCITY, VELOCITY, Chains, IntArray, innovations, scene_of
+from graphtrack.association.likelihood import (
+    ANY_VELOCITY,
+    VELOCITY,
+    Chains,
+    IntArray,
+    count_misses,
+    innovations,
+    scene_of,
+)
 from graphtrack.association.motion import noise_of, velocities_of
+from graphtrack.association.sensors import Views
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.packages import ndimage, optimize, spatial
 from graphtrack.tracks.detections import Detections
@@ -250,10 +259,10 @@ def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> tuple[FloatArray, Fl
     frames = (chains.frame[linked] - chains.frame[before] - 1).astype(float)
     if not chains.scans.shape[1]:
         return frames, frames
-    shown = 0.5 * (chains.views[before] + chains.views[linked])
-    own = shown[np.arange(len(linked)), chains.rows["sensor"][before]]
-    missed = ((chains.scans[linked] - chains.scans[before]) * shown).sum(axis=1) - own
-    return frames, np.maximum(missed, 0.0)
+    missed = np.zeros(len(linked))
+    views = Views.of(chains.position, chains.sensor, chains.scans.shape[1])
+    count_misses(chains, before, linked, views.heights, missed)
+    return frames, missed
 
 
 @dataclass(frozen=True, eq=False)

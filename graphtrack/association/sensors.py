@@ -8,10 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.association.likelihood import EDGE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.tracks.detections import Detections, with_those_between
+from graphtrack.tracks.scene import Known, SceneParameters
 from graphtrack.tracks.time import TIME_TOLERANCE
+from graphtrack.tracks.validation import with_clipped
 
 IntArray = NDArray[np.int64]
 
@@ -77,8 +80,8 @@ def scans_of(t: FloatArray, frame: IntArray, sensor: IntArray) -> Scans:
 _DIRECTIONS = unit(np.arange(16) * (np.pi / 8.0))
 _INSIDE = 0.995
 """Share of a sensor's detections that are in its field of view in each direction: some are gross errors."""
-_EDGE = 1.0
-"""Metres across the edge of a field of view over which its probability goes from 1 to 0."""
+_SLOWEST = 0.7
+"""Metres a second of somebody who walks from one field of view into another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +121,32 @@ class Views:
         np.maximum.at(heights, sensor, position @ _DIRECTIONS.T)
         return Views(heights)
 
+    @property
+    def farthest(self) -> float:
+        """Metres to the nearest other field of view, of the most distant one; 0 if they overlap."""
+        if len(self.heights) < 2 or not np.isfinite(self.heights).all():
+            return 0.0
+        half = len(_DIRECTIONS) // 2
+        opposite = np.roll(self.heights, half, axis=1)  # how far each reaches the other way
+        apart = (-opposite[None] - self.heights[:, None]).max(axis=2)
+        np.fill_diagonal(apart, np.inf)
+        return max(float(apart.min(axis=1).max()), 0.0)
+
     def at(self, position: FloatArray) -> FloatArray:
         """Return the probabilities (n, s) that places (n, 2) are in the fields of view."""
         if not len(self.heights):
             return np.zeros((len(position), 0))
         beyond = (position @ _DIRECTIONS.T)[:, None, :] - self.heights
-        shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / _EDGE, 0.0, 1.0)
+        shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / EDGE, 0.0, 1.0)
         return shares
+
+
+def with_longest_gap(scene: SceneParameters, views: Views, known: Known) -> SceneParameters:
+    """Return a scene in which people may be out of sight for as long as they walk between the views."""
+    if "longest_gap" in known or not views.farthest:
+        return scene
+    usual = SceneParameters.longest_gap
+    return with_clipped(scene, {"longest_gap": usual + views.farthest / _SLOWEST})
 
 
 def with_zeros(scans: FloatArray, count: int) -> FloatArray:

@@ -56,7 +56,7 @@ def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
             within = (np.sum(off**2, axis=1) < GATE**2 * spread) & (dt <= scene.longest_gap)
             one, bounds = rows[k], np.full(len(grid.groups), np.inf)
             count = near_detections(
-                chains, state, float(one["t"]), int(one["frame"]), -1, grid, bounds, scene, near
+                chains, state, float(one["t"]), int(one["frame"]), grid, bounds, scene, near
             )
             assert sorted(near[:count].tolist()) == np.flatnonzero(within).tolist()
             found += count

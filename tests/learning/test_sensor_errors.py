@@ -50,15 +50,15 @@ def misses(found: SensorScene, true: SensorScene) -> tuple[np.ndarray, np.ndarra
         pivot, turn = np.array(one.pivot), float(sensor.rotation or 0.0)
         matrix = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         shift = matrix @ pivot + np.array(sensor.shift) - pivot
-        errors.append(
-            errors_of(one) - errors_of(with_errors(sensor, np.array([*shift, *errors_of(sensor)[2:]])))
-        )
+        errors.append(errors_of(one) - np.array([*shift, *errors_of(sensor)[2:]]))
         stds.append([*one.shift_std, one.rotation_std, one.angle_bias_std, one.clock_offset_std])
     return np.array(errors), np.array(stds)
 
 
-def rows_in_order(rows: Rows) -> Rows:
-    return rows.taken(np.lexsort((rows.sensor, rows.channels["t"], rows.track_id)))
+def rows_in_order(rows: Rows, sensors: SensorScene) -> Rows:
+    """Rows in the order that they have once corrected."""
+    times = corrected(rows, sensors).channels["t"]
+    return rows.taken(np.lexsort((rows.sensor, times, rows.track_id)))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -68,7 +68,6 @@ def test_errors_are_found_within_what_is_stated(seed) -> None:
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std).all()
     assert np.sqrt(np.mean((errors / std) ** 2)) < 1.6
-    assert std[:, :2].max() < 0.03 and np.degrees(std[:, 2].max()) < 0.2 and std[:, CLOCK].max() < 0.02
     assert found["south-west"] == replace(KNOWN, pivot=found["south-west"].pivot)
 
 
@@ -76,6 +75,7 @@ def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
     rows, _ = recording(3, people=4, seconds=8.0, count=2)
     found = learn_sensors(rows, {"south-west": KNOWN})
     tracks = gt.read(rows, sensors=found)
+    tracks = tracks.with_tracks(one for one in tracks if len(one) > 40)
     constants = {one.track.track_id: one.constants for one in gt.solve(tracks)}
     graph, values = gt.graph_of(tracks, constants=constants, sensors=found)
     options = gtsam.LevenbergMarquardtParams()
@@ -97,7 +97,7 @@ def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
 
 def test_the_gradient_is_that_of_the_cost() -> None:
     rows, scene = recording(4, people=4, seconds=8.0, count=2)
-    raw = rows_in_order(rows_of_table(rows))
+    raw = rows_in_order(rows_of_table(rows), scene)
     sensor = np.array([list(scene).index(name) for name in raw.sensor.tolist()])
     people = len(np.unique(raw.track_id))
     personal = {
@@ -175,24 +175,19 @@ def test_the_command_learns_and_smooth_uses_it(tmp_path) -> None:
     path, learned, both = tmp_path / "rows.csv", tmp_path / "learned.toml", tmp_path / "both.toml"
     rows.to_csv(path, index=False)
     SensorScene({"south-west": KNOWN}).save(tmp_path / "known.toml")
-    out = ran("fit", path, "--sensors", tmp_path / "known.toml", "-o", learned)
-    assert "±" in out and "graphtrack smooth" in out
+    known = tmp_path / "known.toml"
+    said = ran("fit", path, "--sensors", known, "-o", learned, program="graphtrack").stdout
+    assert "±" in said and "graphtrack smooth" in said
     found = SensorScene.load(learned)
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std).all()
-    ran("smooth", path, "-o", tmp_path / "a.csv", "--sensors", learned)
-    ran(
-        "smooth",
-        path,
-        "-o",
-        tmp_path / "b.csv",
-        "--sensors",
-        tmp_path / "known.toml",
-        "--learn-sensors",
-        both,
-    )
+    for name, options in (
+        ("a.csv", ["--sensors", learned]),
+        ("b.csv", ["--sensors", known, "--learn-sensors", both]),
+    ):
+        ran("smooth", path, "-o", tmp_path / name, *options, program="graphtrack")
     one, two = (pd.read_csv(tmp_path / name) for name in ("a.csv", "b.csv"))
     np.testing.assert_allclose(one[["x", "y"]], two[["x", "y"]])
     assert np.hypot(one.x - one.true_x, one.y - one.true_y).mean() < 0.1
-    failed = run("fit", path, "--sensors", "unknown", "--scene", "-o", learned)
+    failed = run("fit", path, "--sensors", "unknown", "--scene", "-o", learned, program="graphtrack")
     assert failed.returncode == 2 and "--scene" in failed.stderr
