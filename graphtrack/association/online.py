@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from statistics import median
+from statistics import fmean, median
 from typing import Any, ClassVar
 
 import numpy as np
@@ -292,8 +292,10 @@ class OnlineAssociation(Moves, Saved):
 
     @property
     def step_seconds(self) -> float:
-        """Median seconds between recent frames."""
-        return median(self._intervals) if self._intervals else 1.0
+        """Median seconds between recent frames, of several sensors the mean between their scans."""
+        if not self._intervals:
+            return 1.0
+        return fmean(self._intervals) if len(self.sensors) > 1 else median(self._intervals)
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`; OtherSettings if its known parameters or its lag are others."""
