@@ -95,7 +95,7 @@ def test_scans_outside_of_a_field_of_view_are_no_misses() -> None:
     assert log_misses(0.0, 50, scene) == 0.0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_people_of_two_sensors_are_found_once(seed) -> None:
     table = walks(seed)
     assert purity(gt.associate(table)) == (pytest.approx(1.0, abs=0.02), 5)
@@ -153,6 +153,7 @@ def kept(found: gt.TrackSet) -> float:
     return float((most["first"] == most["second"]).mean())
 
 
+@pytest.mark.slow
 def test_identities_are_kept_between_views_that_do_not_overlap() -> None:
     assert kept(gt.associate(crossings(0))) >= 0.85
 

