@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.constant_velocity import compiled_spread
-from graphtrack.geometry.angles import FloatArray, class_centres
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import allocating, compiled
 from graphtrack.packages import optimize
@@ -51,6 +51,9 @@ VELOCITY = np.dtype([("weight", float), ("vx", float), ("vy", float), ("variance
 ANY_VELOCITY = np.array([(1.0, 0.0, 0.0, 1.0)], VELOCITY)
 """A prior of velocities of one component."""
 
+
+COMPASS = unit(np.arange(16) * (math.pi / 8.0))
+"""Directions (16, 2) along which the reach of fields of view is known."""
 
 EDGE = 1.0
 """Metres across the edge of a field of view over which its probability goes from 1 to 0."""
@@ -87,7 +90,7 @@ class SceneRow(NamedTuple):
     appearance_outliers: float = 1.0
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
     velocities: NDArray[np.void] = ANY_VELOCITY  # components of the prior, of `VELOCITY`
-    views: FloatArray = np.zeros((0, 16))  # `Views.heights` of several sensors
+    views: FloatArray = np.zeros((0, len(COMPASS)))  # `Views.heights` of several sensors
 
 
 def scene_of(
@@ -359,9 +362,8 @@ def misses_of(missed: FloatArray, frames: FloatArray, scene: SceneRow) -> FloatA
 def view_at(heights: FloatArray, sensor: int, x: float, y: float) -> float:
     """Return the probability that a place is in the field of view of a sensor; see `sensors.Views`."""
     beyond = -math.inf
-    for k in range(heights.shape[1]):
-        angle = 2.0 * math.pi * k / heights.shape[1]
-        beyond = max(beyond, x * math.cos(angle) + y * math.sin(angle) - heights[sensor, k])
+    for k in range(len(COMPASS)):
+        beyond = max(beyond, x * COMPASS[k, 0] + y * COMPASS[k, 1] - heights[sensor, k])
     return min(max(0.5 - beyond / EDGE, 0.0), 1.0)
 
 

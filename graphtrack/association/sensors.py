@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.likelihood import EDGE
+from graphtrack.association.likelihood import COMPASS, EDGE
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections, with_those_between
 from graphtrack.tracks.scene import Known, SceneParameters
 from graphtrack.tracks.time import TIME_TOLERANCE
@@ -77,7 +77,6 @@ def scans_of(t: FloatArray, frame: IntArray, sensor: IntArray) -> Scans:
     return Scans(number[place], times[order], sensors[order], frames[order], ordered, before)
 
 
-_DIRECTIONS = unit(np.arange(16) * (np.pi / 8.0))
 _INSIDE = 0.995
 """Share of a sensor's detections that are in its field of view in each direction: some are gross errors."""
 _SLOWEST = 0.7
@@ -98,8 +97,8 @@ class Views:
     @classmethod
     def of(cls, position: FloatArray, sensor: IntArray, count: int) -> Views:
         """Learn the fields of view of ``count`` sensors from detections (n, 2), metres."""
-        heights = np.full((count, len(_DIRECTIONS)), -np.inf)
-        along = position @ _DIRECTIONS.T
+        heights = np.full((count, len(COMPASS)), -np.inf)
+        along = position @ COMPASS.T
         for one in range(count):
             own = along[sensor == one]
             if len(own):
@@ -109,16 +108,16 @@ class Views:
     @classmethod
     def none(cls) -> Views:
         """Fields of view of no sensor."""
-        return cls(np.zeros((0, len(_DIRECTIONS))))
+        return cls(np.zeros((0, len(COMPASS))))
 
     def with_sensor(self) -> Views:
         """Return these with a further sensor, which has views nothing."""
-        return Views(np.vstack([self.heights, np.full((1, len(_DIRECTIONS)), -np.inf)]))
+        return Views(np.vstack([self.heights, np.full((1, len(COMPASS)), -np.inf)]))
 
     def reaching(self, position: FloatArray, sensor: IntArray) -> Views:
         """Return fields of view that include places (n, 2), each of one sensor (n,)."""
         heights = self.heights.copy()
-        np.maximum.at(heights, sensor, position @ _DIRECTIONS.T)
+        np.maximum.at(heights, sensor, position @ COMPASS.T)
         return Views(heights)
 
     @property
@@ -126,7 +125,7 @@ class Views:
         """Metres to the nearest other field of view, of the most distant one; 0 if they overlap."""
         if len(self.heights) < 2 or not np.isfinite(self.heights).all():
             return 0.0
-        half = len(_DIRECTIONS) // 2
+        half = len(COMPASS) // 2
         opposite = np.roll(self.heights, half, axis=1)  # how far each reaches the other way
         apart = (-opposite[None] - self.heights[:, None]).max(axis=2)
         np.fill_diagonal(apart, np.inf)
@@ -136,7 +135,7 @@ class Views:
         """Return the probabilities (n, s) that places (n, 2) are in the fields of view."""
         if not len(self.heights):
             return np.zeros((len(position), 0))
-        beyond = (position @ _DIRECTIONS.T)[:, None, :] - self.heights
+        beyond = (position @ COMPASS.T)[:, None, :] - self.heights
         shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / EDGE, 0.0, 1.0)
         return shares
 
