@@ -34,7 +34,9 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 
 import graphtrack as gt
 from graphtrack.io.formats.ros_bag import MARKERS
+from graphtrack.io.formats.ros_reading import rows_of_bag
 from graphtrack.io.formats.ros_writing import TOPICS
+from graphtrack.io.options import ReadOptions
 from graphtrack.tracks.table import AsRead
 from graphtrack.tracks.time import TimeScale
 from graphtrack.tracks.track import Track, TrackSet
@@ -217,6 +219,18 @@ def test_people_of_several_topics_have_their_sensor_and_one_topic_has_none(tmp_p
     found = {one.label: set(one.sensor.tolist()) for one in gt.read(bag)}
     assert found["/left/people/anna"] == {"/left/people"} and found["/right/people/anna"] == {"/right/people"}
     assert all(one.sensor is None for one in gt.read(bag, topic="/left/people"))
+
+
+def test_each_sensor_has_frame_numbers_of_its_own(tmp_path):
+    """Two sensors at other rates: no frame without detections comes between those of one of them."""
+    rng, told = np.random.default_rng(0), {"/a": [], "/b": []}
+    for topic, hz in (("/a", 10.0), ("/b", 12.5)):
+        for k in range(int(8 * hz)):
+            t = k / hz + rng.uniform(0.0, 0.002)
+            told[topic].append((t, make(POSES, header=header(t), poses=[pose(1.2 * t, 0.0, 0.1)])))
+    rows = rows_of_bag(record(tmp_path / "bag", told), ReadOptions())
+    for topic in told:
+        assert set(np.diff(rows.frame[rows.sensor == topic]).tolist()) == {1}
 
 
 def test_covariances_are_ellipses_in_the_fixed_frame(tmp_path):
