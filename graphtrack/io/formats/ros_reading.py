@@ -649,8 +649,8 @@ def _columns_of_ellipses(covariance: FloatArray) -> dict[str, FloatArray]:
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return a mask of the first row of each person by each sensor at each stamp."""
-    who = [np.unique(joined[name].astype(str), return_inverse=True)[1] for name in ("name", "sensor")]
-    number = who[0] * (int(who[1].max()) + 1) + who[1]
+    keys = [np.unique(joined[name].astype(str), return_inverse=True)[1] for name in ("name", "sensor")]
+    number = keys[0] * (int(keys[1].max()) + 1) + keys[1]
     order = np.lexsort((np.arange(len(number)), joined["stamp"], number))
     again = (np.diff(number[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)
     first = np.ones(len(number), dtype=bool)
