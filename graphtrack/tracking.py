@@ -11,13 +11,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 
 from graphtrack.association.associate import tracks_of
+from graphtrack.association.sensors import BETWEEN_SCANS
 from graphtrack.association.tracker import DetectionTracker, PersonEstimate
 from graphtrack.constants import filters
 from graphtrack.constants.commons import commons_of
@@ -44,6 +45,7 @@ from graphtrack.saved import integer
 from graphtrack.smoothing import Progress, lacks_groups
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.scene import GivenScene, known_values
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -335,20 +337,48 @@ class OnlineTracker(DetectionTracker):
         detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]],
         sensor: str | None = None,
     ) -> list[PersonEstimate]:
-        """Add a frame's detections, as `DetectionTracker.update`; forecasts use them from then on."""
+        """Add a frame's detections, as `DetectionTracker.update`; forecasts use them from then on.
+
+        Of a person in scans of several sensors at one time, forecasts use the first position.
+        """
         people = super().update(t, detections, sensor)
         # Observed positions: a forecast estimates their noise itself.
         self._present = [one.track_id for one in people]
-        observed = [(one, self.newest[one.detection]) for one in people if one.observed]
+        latest, known = -math.inf, set[int]()
+        if len(self.sensors) > 1:
+            latest, known = self._observed_since(t - TIME_TOLERANCE)
+        observed = [
+            (one, self.newest[one.detection]) for one in people if one.observed and one.track_id not in known
+        ]
         position = np.array([observation.position for _, observation in observed], float).reshape(-1, 2)
         std = np.array([observation.axis_std for _, observation in observed], float)  # None becomes NaN
         heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one, _ in observed]
-        frame = t, [one.track_id for one, _ in observed], position, std, np.array(heads)
+        at = max(t, latest + BETWEEN_SCANS)  # forecasts take times that increase
+        frame = at, [one.track_id for one, _ in observed], position, std, np.array(heads)
         if self._forecaster is None:
             self._frames.append(frame)
         else:
             self._forecaster.update(*frame)
         return people
+
+    def _observed_since(self, t: float) -> tuple[float, set[int]]:
+        """Return the time of the last frame for forecasts, and the people in those at a time or later."""
+        if self._forecaster is not None:
+            return self._forecaster.t, self._forecaster.observed_since(t)
+        newest = list(takewhile(lambda frame: frame[0] >= t, reversed(self._frames)))
+        latest = self._frames[-1][0] if self._frames else -math.inf
+        return latest, {one for _, ids, *_ in newest for one in ids}
+
+    @property
+    def sensors(self) -> list[str]:
+        """The names of the sensors so far; "" is one without a name."""
+        return self._association.sensors
+
+    def sensor_of(self, update: int) -> str:
+        """Return the name of the sensor of an update with detections that can still be revised."""
+        chains = self._association.chains
+        place = int(np.searchsorted(chains.frame, update))
+        return self.sensors[int(chains.sensor[place])]
 
     def forecast(
         self,

@@ -129,6 +129,7 @@ def test_the_term_of_ones_own_has_factors_of_its_density(cwd):
 
     density = with_term.cost(states, track) - without.cost(states, track)
     assert density > 0.0 and graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
+    assert names["errors"]["both"] < 0.8 * names["errors"]["positions"] < 0.25
 
 
 HOW_TO = ROOT / "docs" / "how-to"  # of test_howto

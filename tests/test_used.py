@@ -37,7 +37,12 @@ def _person(track_id: int, y: float) -> Track:
         body_kappa=np.full(N, 5.0),
         head=np.full(N, 1.5 * track_id - 1.2),
         head_kappa=np.full(N, 6.0),
+        observed_velocity=np.tile([1.0, 0.1 * track_id], (N, 1)),
+        observed_velocity_covariance=np.tile([[0.2, 0.05], [0.05, 0.1]], (N, 1, 1)),
+        body_axis=np.full(N, 1.4 * track_id - 1.3),
+        body_axis_kappa=np.full(N, 3.0),
         score=np.full(N, 0.9),
+        sensor=np.array(["laser", "camera"])[np.arange(N) % 2],
         velocity=np.full((N, 2), 0.4),
         covariance=np.tile(np.diag([0.01, 0.02, 0.1, 0.1, 0.2, 0.3]), (N, 1, 1)),
         identity_p=np.full(N, 0.8),
@@ -55,10 +60,16 @@ CLASSES = {
     f"{name}_likelihood": np.tile(RNG.uniform(0.1, 1.0, k), (N, 1)) for name, k in (("body", 8), ("head", 12))
 }
 NO_CLASSES = ("body", "body_kappa", "head", "head_kappa")
+ELLIPSES = {
+    "position_std": None,
+    "position_covariance": np.tile([[0.02, 0.005], [0.005, 0.01]], (N, 1, 1)),
+}
 
 
 def scene_of(name: str) -> TrackSet:
-    """The scene, with class likelihoods in place of angles where these are to be changed."""
+    """The scene, with class likelihoods or ellipses in place of angles or circles where these are changed."""
+    if name == "position_covariance":
+        return FULL.map(lambda one: replace(one, **ELLIPSES))
     if "likelihood" not in name and "_p" not in name.replace("pos_std", "").replace("identity_p", ""):
         return FULL.map(lambda one: replace(one, **dict.fromkeys(CLASSES)))
     return FULL.map(lambda one: replace(one, **CLASSES, **dict.fromkeys(NO_CLASSES)))
@@ -81,6 +92,8 @@ def changed(track: Track, name: str) -> Track:
     if name == "track_id":
         return replace(track, track_id=track.track_id + 10)
     value = np.array(getattr(track, name))
+    if name == "sensor":
+        return replace(track, sensor=np.char.add(value, "'"))
     if name == "frame":
         return replace(track, frame=value + 3)
     if "likelihood" in name:
@@ -133,7 +146,8 @@ OF_OBSERVATIONS: dict[str, Callable[[TrackSet], Any]] = {
     "forecast": lambda tracks: gt.forecast(tracks, horizon=0.4).columns,
 }
 TRACK_FIELDS = [f.name for f in fields(Track) if f.name not in ("inputs", "track_id", "frame")]
-OBSERVED = [f.name for f in fields(Observation) if f.name not in ("frame", "inputs")]
+OBSERVED = [f.name for f in fields(Observation) if f.name not in ("frame", "inputs", "sensor")]
+"""Without the sensor, which only tells rows of one time apart."""
 
 
 def columns_of(name: str) -> set[str]:
@@ -185,9 +199,9 @@ def test_every_column_of_a_table_is_used_refused_or_named(entry: str) -> None:
     assert silent == []
 
 
-def observation(k: int, person: int = 0, classes: bool = False) -> Observation:
-    """An observation with every channel."""
-    track = scene_of("likelihood" if classes else "")[person]
+def observation(k: int, person: int = 0, name: str = "") -> Observation:
+    """An observation with every channel that goes with that of a name."""
+    track = scene_of(name)[person]
     given = {
         f.name: value[k].tolist()
         for f in fields(Observation)
@@ -200,6 +214,10 @@ def other(one: Observation, name: str) -> Observation:
     if name == "t":
         return replace(one, t=one.t + 0.02)
     value = getattr(one, name)
+    if name == "sensor":
+        return replace(one, sensor=f"{value}'")
+    if name.endswith("covariance"):
+        return replace(one, **{name: (0.8 * np.array(value)).tolist()})
     return replace(one, **{name: tuple(np.roll(value, 1) * 0.8) if isinstance(value, list) else 0.7 * value})
 
 
@@ -242,7 +260,7 @@ def test_every_field_of_an_observation_is_used_refused_or_named(entry: str) -> N
     evidence = EVIDENCE_ALONE if "Tracker position" in entry else ["score"] * ("Tracker" in entry)
     names = [one for one in OBSERVED if one not in evidence]
     for name in names:
-        frames = [[observation(k, person, "likelihood" in name) for person in (0, 1)] for k in range(N)]
+        frames = [[observation(k, person, name) for person in (0, 1)] for k in range(N)]
         if "position" in name and entry.endswith("camera"):
             frames = [[replace(one, pixel=None) for one in some] for some in frames]
         before, notes = found_by(frames)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from graphtrack.tracks.track import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
 
@@ -51,7 +53,7 @@ def report(
     options.check_outputs(
         {"--output": output}, {**reading.inputs(inputs), "--observations": observations, **tables}
     )
-    tracks = reading.tracks(inputs)
+    tracks = _in_the_world(inputs, reading)
     observed = None if not observations else reading.tracks(observations)
     write_report(
         output,
@@ -61,9 +63,19 @@ def report(
         attention=attention,
         forecast=forecast,
         places=places,
+        sensors=reading.sensors,
         title=title,
     )
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _in_the_world(inputs: list[Path], reading: options.SceneReading) -> TrackSet:
+    """Return tracks; estimates are not corrected for the errors of sensors, since they are in the world."""
+    if reading.sensors is None:
+        return reading.tracks(inputs)
+    as_they_are = replace(reading, sensors=None).tracks(inputs)
+    is_estimated = any(track.covariance is not None for track in as_they_are)
+    return as_they_are if is_estimated else reading.tracks(inputs)
 
 
 def view(
@@ -104,7 +116,7 @@ def view(
         "--forecast": None if forecast is None or ahead is not None else Path(forecast),
     }
     options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
-    tracks = reading.tracks(inputs)
+    tracks = _in_the_world(inputs, reading)
     horizon = horizon_of(ahead)
     show(
         tracks,
@@ -117,6 +129,7 @@ def view(
         video=video,
         boxes=_boxes(inputs, boxes, reading, video),
         person=person,
+        sensors=reading.sensors,
     )
     if showing.save is not None:
         size = showing.save.stat().st_size / 1e6

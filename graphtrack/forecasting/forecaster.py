@@ -300,6 +300,10 @@ class Forecaster(Saved):
         span = (self._last - self._first)[at] * (self._count[at] / (self._count[at] - 1))
         return np.sort(self._id[at[span >= history - TIME_TOLERANCE]])
 
+    def observed_since(self, t: float) -> set[int]:
+        """Return the ids of people whose last observation is at a time (seconds) or later."""
+        return {one for one, place in self._of.items() if self._last[place] >= t}
+
     def known(self, track_id: Sequence[int]) -> NDArray[np.int64]:
         """Select people observed at least twice, in the last seconds."""
         known = [one for one in track_id if one in self._of and self._count[self._of[one]] >= 2]

@@ -94,7 +94,8 @@ class Forecasts:
         write_table(self.columns, path)
 
 
-_USED = ("t", "x", "y", "pos_std", "x_std", "y_std", "head_deg", "observed")
+_NOISE = ("pos_std", "x_std", "y_std", "observed_x_std", "observed_y_std", "observed_xy_corr")
+_USED = ("t", "x", "y", *_NOISE, "head_deg", "observed")
 """Columns that forecasts are made from."""
 
 

@@ -494,6 +494,7 @@ class OnlineSolver:
             head=head,
             covariance=covariance,
             status=status,
+            sensor=observation.sensor,
         )
         return self._last
 
@@ -505,9 +506,9 @@ class OnlineSolver:
 
     def _waiting(self, observation: Observation) -> Estimate:
         none, nan = np.full(2, np.nan), math.nan
-        return Estimate(
-            observation.t, observation.frame, none, none, nan, nan, np.full((6, 6), nan), "waiting"
-        )
+        unknown = np.full((6, 6), nan)
+        at = observation.t, observation.frame
+        return Estimate(*at, none, none, nan, nan, unknown, "waiting", sensor=observation.sensor)
 
     def unchanged(self, observation: Observation, status: Status) -> Estimate:
         """Return the last estimate, with a status, for an observation that is not used."""

@@ -247,6 +247,7 @@ class Estimate:
         "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
         "unconfirmed": in streams, its time is far from the stream's; used once the next row agrees with it.
     reason : the reason of a failure
+    sensor : the sensor of that frame; "" without a name
     """
 
     t: float
@@ -258,6 +259,7 @@ class Estimate:
     covariance: FloatArray
     status: Status
     reason: str = ""
+    sensor: str = ""
 
     def __repr__(self) -> str:
         known = [f"{name} {value}" for name, value in self._described().items()]
@@ -477,6 +479,7 @@ def _pack_estimate(last: Estimate) -> dict[str, Any]:
     return {
         "t": last.t,
         "frame": last.frame,
+        **({"sensor": last.sensor} if last.sensor else {}),
         **pack_tree({"state": state, "covariance": last.covariance}),
     }
 
@@ -493,4 +496,5 @@ def _unpack_estimate(saved: dict[str, Any]) -> Estimate:
         head,
         arrays["covariance"].reshape(N, N),
         "new",
+        sensor=str(saved.get("sensor", "")),
     )

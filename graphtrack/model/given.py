@@ -77,7 +77,7 @@ def _unused(track: Track, model: Model, camera: GroundCamera | None) -> list[str
     for name in ("body", "head"):
         classes, angle = _rows(track, f"{name}_likelihood"), _rows(track, name)
         if not getattr(model, f"has_{name}"):
-            found += [name, f"{name}_kappa", f"{name}_likelihood"]
+            found += [channel for channel in CHANNELS if channel.startswith(name)]
             continue
         found += [name] * bool((classes & angle).any())
         found += [f"{name}_kappa"] * (not (angle & ~classes).any())

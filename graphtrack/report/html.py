@@ -182,5 +182,7 @@ def _layers(data: Mapping[str, Any]) -> set[str]:
         for layer, channel in channels.items()
         if any(person[channel] is not None for person in data["people"])
     }
-    has = {"lives": data["lives"], "events": bool(data["events"])} | (data["behaviour"] or {"has": {}})["has"]
+    views = any(one["outline"] for one in data["sensors"])
+    has = {"lives": data["lives"], "events": bool(data["events"]), "views": views}
+    has |= (data["behaviour"] or {"has": {}})["has"]
     return known | {"trail", "paths", "label"} | {layer for layer, there in has.items() if there}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.content import Card, Chart, DataTable, Section
 from graphtrack.report.style import longest_step
+from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Pair:
         estimate, None if it has none.
     observed_position : (n, 2) metres, the observed position at the estimate's frames; NaN where there is none
     observed_body, observed_head : (n,) radians, the observed angles there; NaN where there are none
+    observed_covariance : (n, 2, 2) m², that of ellipses of observed positions; NaN where there is none
+    sensor : (n,) names of the sensors; "" without one
     true_position, true_body, true_head : (n, 2), (n,), (n,)
         Truth at the frames of the estimate, from either track; NaN if unknown.
     """
@@ -42,6 +45,8 @@ class Pair:
     observed_position: FloatArray
     observed_body: FloatArray
     observed_head: FloatArray
+    observed_covariance: FloatArray
+    sensor: NDArray[np.str_]
     true_position: FloatArray
     true_body: FloatArray
     true_head: FloatArray
@@ -64,13 +69,15 @@ class Pair:
 def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
     """Align the observations and the truth of one person with the frames of the estimate."""
     n = len(estimate)
-    observed_position = np.full((n, 2), np.nan)
+    observed_position, ellipses = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     was_observed: NDArray[np.bool_] | None = None
     if observation is None and estimate.observed is not None:
         was_observed = np.asarray(estimate.observed != 0.0)
     if observation is not None:
         observed_position = _at_frames(observation.position, observation, estimate)
         was_observed = finite_rows(observed_position)
+        if observation.position_covariance is not None:
+            ellipses = _at_frames(observation.position_covariance, observation, estimate)
         if observation.pixel is not None:
             # A foot point in the image is an observation too, although it has no ground position yet.
             was_observed |= finite_rows(_at_frames(observation.pixel, observation, estimate))
@@ -97,6 +104,8 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
         observed_position=observed_position,
         observed_body=angle_of_observations("body"),
         observed_head=angle_of_observations("head"),
+        observed_covariance=ellipses,
+        sensor=_sensor_of(estimate, observation),
         true_position=truth("true_position", (n, 2)),
         true_body=truth("true_body", (n,)),
         true_head=truth("true_head", (n,)),
@@ -141,9 +150,38 @@ def finite_rows(values: FloatArray) -> NDArray[np.bool_]:
 def _at_frames(values: FloatArray, source: Track, target: Track) -> FloatArray:
     """Return ``values`` of ``source`` at the frames of ``target``; NaN at frames missing in ``source``."""
     out = np.full((len(target), *values.shape[1:]), np.nan)
-    _, there, here = np.intersect1d(source.frame, target.frame, assume_unique=True, return_indices=True)
+    there, here = _same_rows(source, target)
     out[here] = values[there]
     return out
+
+
+def _same_rows(source: Track, target: Track) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows of both tracks that have one frame; where one alone has sensors, one time."""
+    if source.sensor is None and target.sensor is None:
+        frames = source.frame, target.frame
+        _, there, here = np.intersect1d(*frames, assume_unique=True, return_indices=True)
+        return there, here
+    if source.sensor is None or target.sensor is None:
+        nearest = np.clip(np.searchsorted(source.t, target.t - TIME_TOLERANCE), 0, len(source) - 1)
+        here = np.flatnonzero(np.abs(source.t[nearest] - target.t) <= TIME_TOLERANCE)
+        return nearest[here], here
+    # Each sensor counts its own frames.
+    row_of = {key: row for row, key in enumerate(zip(source.sensor.tolist(), source.frame, strict=True))}
+    rows = [row_of.get(key, -1) for key in zip(target.sensor.tolist(), target.frame, strict=True)]
+    here = np.flatnonzero(np.array(rows) >= 0)
+    return np.array(rows)[here], here
+
+
+def _sensor_of(estimate: Track, observation: Track | None) -> NDArray[np.str_]:
+    """Return the names of the sensors (n,) at the rows of the estimate."""
+    if estimate.sensor is not None:
+        return estimate.sensor
+    if observation is None or observation.sensor is None:
+        return np.full(len(estimate), "")
+    found = np.full(len(estimate), "", dtype=observation.sensor.dtype)
+    there, here = _same_rows(observation, estimate)
+    found[here] = observation.sensor[there]
+    return found
 
 
 UNSURE = 0.9

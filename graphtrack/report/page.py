@@ -13,6 +13,7 @@ import numpy as np
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.sensors import SensorScene
 from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section, records
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import behaviour_of
@@ -28,7 +29,9 @@ from graphtrack.report.lives import (
 from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
+from graphtrack.report.sensors import sensors_section, shown_sensors
 from graphtrack.report.style import probability_ellipse
+from graphtrack.tracks.sensors import Sensors
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet
 
 if TYPE_CHECKING:
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
     from graphtrack.interaction.groups import Groups
     from graphtrack.interaction.people import Place
     from graphtrack.io.read_write import Given
+    from graphtrack.io.sensors import SensorsLike
     from graphtrack.report.interaction import Behaviour
 
 
@@ -63,6 +67,7 @@ def tracking_report(
     sections: tuple[Section, ...] = (),
     events: Sequence[IdentityEvent] | None = None,
     behaviour: Behaviour | None = None,
+    sensors: Sensors | None = None,
 ) -> Report:
     """Compose the report of a tracking run.
 
@@ -79,6 +84,7 @@ def tracking_report(
     events : identity errors, from `graphtrack.evaluation.identity_events.judge_events`;
         with it, or with tracks that were associated, there is a timeline of identities
     behaviour : groups, gaze and forecasts, from `graphtrack.report.interaction.behaviour_of`
+    sensors : descriptions of sensors, by name: fields of view, and errors with their 1-σ
 
     Returns
     -------
@@ -97,10 +103,13 @@ def tracking_report(
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
-    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
+    shown = shown_sensors(pairs, sensors)
+    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour, sensors=shown)
     words = "Paths from above"
     words += "" if is_crowd(pairs) else ", with body and head at regular times"
-    picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
+    picture = Picture(
+        words, plot_pairs(pairs, sensors=shown), f"Bird's-eye view of the paths of {len(pairs)} people."
+    )
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
     extra: tuple[Card, ...] = ()
     if behaviour is not None:
@@ -113,6 +122,7 @@ def tracking_report(
         _angles_section(pairs),
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
+        *sensors_section(shown, sensors),
     ]
     if comparison is not None or calibration is not None:
         parts.append(_methods_section(comparison, calibration))
@@ -301,6 +311,7 @@ def write_report(
     attention: Sequence[Attention] | str | Path | None = None,
     forecast: Forecasts | str | Path | None = None,
     places: Sequence[Place] | str | Path | None = None,
+    sensors: SensorsLike | None = None,
     title: str = "Tracks",
     subtitle: str = "",
 ) -> None:
@@ -316,6 +327,8 @@ def write_report(
         ``graphtrack attention`` wrote
     forecast : result of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
     places : other gaze targets, or a file with their positions
+    sensors : descriptions of the sensors, or their file: fields of view and errors are shown. The tracks are
+        in the world already. Fields of view that are not described are learned
     title, subtitle : text at the top
 
     Raises
@@ -327,5 +340,12 @@ def write_report(
     tracks = tracks_of(tracks)
     observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
-    report = tracking_report(tracks, observations, title=title, subtitle=subtitle, behaviour=behaviour)
+    report = tracking_report(
+        tracks,
+        observations,
+        title=title,
+        subtitle=subtitle,
+        behaviour=behaviour,
+        sensors=None if sensors is None else SensorScene.of(sensors),
+    )
     write_html(path, report)

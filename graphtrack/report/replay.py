@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from graphtrack.interaction.groups import Groups
     from graphtrack.interaction.people import Place
     from graphtrack.report.interaction import Behaviour
+    from graphtrack.report.sensors import ShownSensor
 
 
 TIME_STEP: Final = 1e-3
@@ -229,6 +230,7 @@ def replay_data(
     lives: Sequence[Life] | None = None,
     events: Sequence[IdentityEvent] = (),
     behaviour: Behaviour | None = None,
+    sensors: Sequence[ShownSensor] = (),
 ) -> dict[str, Any]:
     """Return the data of the replay and the angle charts, ready for `json.dumps`.
 
@@ -246,6 +248,7 @@ def replay_data(
     lives : life of each person, to show births, deaths, gaps and joins
     events : switches and fragmentations, if the truth is known
     behaviour : groups, gaze and forecasts of the people
+    sensors : from `graphtrack.report.sensors.shown_sensors`
 
     Returns
     -------
@@ -254,7 +257,8 @@ def replay_data(
         of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
         four units), ``people``, ``events`` (each time, true person, track before, track after, whether a
         switch, whether found again), ``lives``, whether births, deaths and gaps are shown, ``unsure``,
-        the probability below which a link is, and ``behaviour`` (see `behaviour_codes`).
+        the probability below which a link is, ``behaviour`` (see `behaviour_codes`), and ``sensors``
+        (title, colour, outline of the field of view, whether it was learned).
     """
     placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
     times = [pair.estimate.t for _, pair in placed]
@@ -263,7 +267,8 @@ def replay_data(
         max_samples = MAX_SAMPLES if behaviour is None else MAX_DOING
     every, kept = _thinned(times, frame, max_rate, max_samples)
     people = [
-        _person(i, pair, at) | ({} if lives is None else _life(pair, lives[i], at))
+        _person(i, pair, at, [one.name for one in sensors])
+        | ({} if lives is None else _life(pair, lives[i], at))
         for (i, pair), at in zip(placed, kept, strict=True)
     ]
     shown = None
@@ -284,6 +289,15 @@ def replay_data(
         },
         "people": people,
         "behaviour": shown,
+        "sensors": [
+            {
+                "title": one.title,
+                "colour": one.colour,
+                "outline": None if one.outline is None else np.round(one.outline, 3).tolist(),
+                "learned": one.learned,
+            }
+            for one in sensors
+        ],
         "lives": lives is not None,
         "unsure": UNSURE,
         "events": [
@@ -318,7 +332,8 @@ def frame_interval(times: Sequence[FloatArray]) -> float | None:
     ----------
     times : (n,) seconds of each track
     """
-    return min((float(np.median(np.diff(t))) for t in times if len(t) > 1), default=None)
+    each = map(np.unique, times)  # rows of several sensors may have one time
+    return min((float(np.median(np.diff(t))) for t in each if len(t) > 1), default=None)
 
 
 def thin(t: FloatArray, rate: float) -> NDArray[np.intp]:
@@ -349,8 +364,11 @@ def _thinned(
         every = max(every + 1, int(every * total / max_samples))
 
 
-def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
+def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]) -> dict[str, Any]:
     estimate = pair.estimate
+    observed = probability_ellipse(pair.observed_covariance[at])
+    place_of = {name: float(place) for place, name in enumerate(sensors)}
+    sensor = np.array([place_of.get(name, np.nan) for name in pair.sensor[at].tolist()])
     body_std, head_std = estimate.std("body"), estimate.std("head")
     absent, absent_pair = np.full(len(at), np.nan), np.full((len(at), 2), np.nan)
     velocity = absent_pair if estimate.velocity is None else estimate.velocity[at]
@@ -366,6 +384,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "minor": ellipse.semi_minor,
         "seen_x": pair.observed_position[at, 0],
         "seen_y": pair.observed_position[at, 1],
+        "seen_major": observed.semi_major,
+        "seen_minor": observed.semi_minor,
         "true_x": pair.true_position[at, 0],
         "true_y": pair.true_position[at, 1],
     }
@@ -375,6 +395,7 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "head": absent if estimate.head is None else estimate.head[at],
         "body_std": body_std[at],
         "head_std": head_std[at],
+        "seen_tilt": observed.angle,
         "seen_body": pair.observed_body[at],
         "seen_head": pair.observed_head[at],
         "true_body": pair.true_body[at],
@@ -393,6 +414,7 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         if pair.was_observed is None
         else "".join("1" if flag else "0" for flag in pair.was_observed[at]),
         "t": delta_code(t, TIME_STEP),
+        "sensor": delta_code(sensor, 1.0),
         **{name: delta_code(values, LENGTH_STEP) for name, values in lengths.items()},
         **{name: delta_code(values, ANGLE_STEP) for name, values in angles.items()},
     }

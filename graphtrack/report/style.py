@@ -129,7 +129,8 @@ def finite_runs(finite: NDArray[np.bool_]) -> list[slice]:
 
 def longest_step(t: FloatArray) -> float:
     """Return the sample interval in seconds above which a track has a hole, which is not drawn."""
-    return max(0.5, 2.5 * float(np.median(np.diff(t)))) if len(t) > 1 else 0.5
+    times = np.unique(t)  # rows of several sensors may have one time
+    return max(0.5, 2.5 * float(np.median(np.diff(times)))) if len(times) > 1 else 0.5
 
 
 def open_holes(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:

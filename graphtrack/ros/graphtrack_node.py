@@ -1,6 +1,7 @@
-"""ROS 2 node: subscribes to a topic with people, and publishes their estimates.
+"""ROS 2 node: subscribes to topics with people, and publishes their estimates.
 
     python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/people -p fixed_frame:=map
+    python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/laser/people,/camera/people
 
 Only this module needs ROS itself (rclpy) and the message packages.
 """
@@ -41,7 +42,7 @@ def make(kind: str, **fields: Any) -> Any:
 
 
 class GraphtrackNode(Node):
-    """Subscribes to the parameter ``topic`` of ``type``, and publishes `TOPICS`."""
+    """Subscribes to the parameter ``topic``, one or several of ``type``, and publishes `TOPICS`."""
 
     def __init__(self) -> None:
         super().__init__("graphtrack")
@@ -71,7 +72,12 @@ class GraphtrackNode(Node):
         self.create_subscription(
             transforms, "/tf_static", partial(self.take_transforms, static=True), latched
         )
-        self.create_subscription(_class_of(given["type"]), given["topic"], self.take, _DEPTH)
+        topics = [one.strip() for one in given["topic"].split(",") if one.strip()]
+        if not topics:
+            raise ValueError(f"topic {given['topic']!r}: a topic, or several with commas between")
+        for topic in topics:
+            take = partial(self.take, topic=topic if len(topics) > 1 else "")
+            self.create_subscription(_class_of(given["type"]), topic, take, _DEPTH)
 
     def take_transforms(self, message: Any, *, static: bool) -> None:
         """Process a tf message."""
@@ -80,10 +86,10 @@ class GraphtrackNode(Node):
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
 
-    def take(self, message: Any) -> None:
-        """Process a message, and publish the estimates."""
+    def take(self, message: Any, topic: str = "") -> None:
+        """Process a message of a topic, and publish the estimates."""
         try:
-            estimate = self._live.take(message, self.get_clock().now().nanoseconds)
+            estimate = self._live.take(message, self.get_clock().now().nanoseconds, topic)
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
             return

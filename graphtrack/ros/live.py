@@ -6,7 +6,7 @@ import logging
 import math
 from bisect import insort
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,23 @@ from numpy.typing import NDArray
 from graphtrack.constant_velocity import predict_covariance
 from graphtrack.constants.commons import commons_of
 from graphtrack.constants.online import Estimate, OnlineSmoother
+from graphtrack.errors import InputError
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
-from graphtrack.io.formats.ros_bag import IDS, SECOND, PeopleMessage, frame_of, sightings_of
-from graphtrack.io.formats.ros_reading import TOGETHER, GroundFrame, Humans, Transforms, same_people
+from graphtrack.io.formats.ros_bag import (
+    IDS,
+    SECOND,
+    PeopleMessage,
+    frame_of,
+    sensor_name,
+    sightings_of,
+)
+from graphtrack.io.formats.ros_reading import GroundFrame, Humans, Transforms
 from graphtrack.io.formats.ros_writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.tracking import OnlineTracker
+from graphtrack.tracks.time import TIME_TOLERANCE
 
 _GONE = 5.0  # seconds without observation after which a named person is dropped
 
@@ -39,13 +48,23 @@ new recording."""
 _LONGEST_HELD = SECOND // 4
 """Longest time for which detections without names wait for earlier ones, in nanoseconds."""
 
-_UNUSED = 100  # frames without need after which detections wait no longer
+_UNUSED = 100  # messages without need after which detections wait no longer
+
+_TOLERANCE = round(TIME_TOLERANCE * SECOND)  # nanoseconds between stamps of one time
+
+_PUBLISHERS = 8
+"""Most publishers that send messages of one stamp on a topic."""
+
+MOST_SENSORS = 64
+"""Most sensors whose messages are used."""
 
 _GAZE_FROM = 0.5  # smallest probability of a reported gaze target
 
 _BEYOND_LAG = "out of sequence by more than the lag"
 _NOT_HELD = "detections without names that are out of sequence: later ones are held for a while"
-_REPEATED = "people observed twice at one time"
+_REPEATED = "people observed twice at one time by one sensor"
+_AGAIN = "messages of a sensor with a stamp that it had"
+_SENSORS = "messages of one sensor too many"
 _NAMELESS = "people without a name among people with names"
 _HELD = "messages held when the clock was set back"
 _NOWHERE = "people without a position, or at a time without tf"
@@ -57,8 +76,12 @@ _CHANNELS = {
     "head": "head_rad",
     "head_kappa": "head_kappa",
     "score": "score",
+    "position_covariance": "position_covariance",
 }
 """Channel of an observation → column."""
+
+_Content = list[tuple[Any, ...]]
+"""Names, places and orientations of the people of a message."""
 
 _Found = dict[int, tuple[str, Estimate, float]]
 """Number of a person → name, estimate and its probability."""
@@ -86,95 +109,94 @@ class SceneEstimate:
 
 @dataclass(order=True)
 class _Held:
-    """Detections of one time, from one message or several."""
+    """Detections of a message."""
 
     stamp: int
+    sensor: str
     observations: list[Observation] = field(compare=False)
-    messages: int = field(default=1, compare=False)
 
 
-class _Frames:
-    """Detections without names, joined and sorted for a tracker that takes frames in order.
+class _Scans:
+    """Detections without names, sorted for a tracker that takes scans in order.
 
-    Messages of one time are joined. Frames are held only where that was of use before: until as many messages
-    have come as came together, and for as long as others were out of sequence.
+    Messages are held only where that was of use before: for as long as others were out of sequence.
     """
 
     def __init__(self) -> None:
         self._held: list[_Held] = []
         self._newest = self._released = -1
-        self._delay, self._expected, self._step = 0, 1, 0
-        self._in_sequence, self._incomplete = 0, 0  # frames in a row
+        self._delay = 0
+        self._in_sequence = 0  # messages in a row
 
     def __len__(self) -> int:
         """The messages that are held."""
-        return sum(one.messages for one in self._held)
+        return len(self._held)
 
-    def add(self, stamp: int, observations: list[Observation]) -> bool:
+    def add(self, stamp: int, sensor: str, observations: list[Observation]) -> bool:
         """Add a message; return False if its time is over."""
-        since = stamp - self._newest
-        # A short step after a long one: another sensor. A fast sensor has short steps alone.
-        if 0 <= since <= TOGETHER < self._step // 2 or 0 <= self._released - stamp <= TOGETHER:
-            self._expected = max(self._expected, 2)
-        self._step = since
-        self._in_sequence = self._in_sequence + 1 if since >= 0 else 0
+        self._in_sequence = self._in_sequence + 1 if stamp >= self._newest else 0
         self._newest = max(self._newest, stamp)
-        if stamp <= self._released:
+        if stamp < self._released - _TOLERANCE:
             self._delay = max(self._delay, min(self._newest - stamp, _LONGEST_HELD))
             return False
         if self._in_sequence > _UNUSED:
             self._delay = 0
-        near = min(self._held, key=lambda one: abs(one.stamp - stamp), default=None)
-        if near is not None and abs(near.stamp - stamp) <= (TOGETHER if self._expected > 1 else 0):
-            near.observations = joined(near.observations, observations)
-            near.messages += 1
-        else:
-            insort(self._held, _Held(stamp, observations))
+        insort(self._held, _Held(stamp, sensor, observations))
         return True
 
     def released(self) -> Iterator[_Held]:
-        """Yield the frames that wait no longer, in order."""
-        while self._held:
-            first = self._held[0]
-            is_complete = first.messages >= self._expected
-            if self._newest - first.stamp < (self._delay if is_complete else max(self._delay, TOGETHER)):
-                return
-            self._incomplete = 0 if is_complete else self._incomplete + 1
-            self._expected = max(self._expected, first.messages) if self._incomplete < _UNUSED else 1
-            self._released = first.stamp
+        """Yield the messages that wait no longer, in order."""
+        while self._held and self._newest - self._held[0].stamp >= self._delay:
+            self._released = max(self._released, self._held[0].stamp)
             yield self._held.pop(0)
 
 
-def joined(first: Sequence[Observation], second: Sequence[Observation]) -> list[Observation]:
-    """Return the observations of two sensors at one time; a person whom both observe counts once."""
-    places = (np.array([one.position for one in some], float).reshape(-1, 2) for some in (first, second))
-    stds = (np.array([one.position_std for one in some], float) for some in (first, second))
-    partner = dict(same_people(*places, *stds))
-    alone = sorted(set(range(len(second))) - set(partner.values()))
-    return [
-        *(_of_both(one, second[partner[i]]) if i in partner else one for i, one in enumerate(first)),
-        *(second[j] for j in alone),
-    ]
+class _Sensors:
+    """Names of the sensors of messages: by topic, by frame of reference, and where stamps repeat.
 
+    Messages of one topic, frame and stamp are of several publishers, unless they are equal. The first frame
+    of a topic needs no name.
 
-def _of_both(one: Observation, other: Observation) -> Observation:
-    """Return the more accurate of two observations of a person, with the angles that it lacks."""
-    if (other.position_std or math.inf) < (one.position_std or math.inf):
-        one, other = other, one
-    added: dict[str, Any] = {}
-    for name in ("body", "head"):
-        if getattr(one, name) is None and getattr(other, name) is not None:
-            added |= {channel: getattr(other, channel) for channel in (name, f"{name}_kappa")}
-    return replace(one, **added) if added else one
+    Parameters
+    ----------
+    memory : nanoseconds for which stamps are remembered
+    """
+
+    def __init__(self, memory: int) -> None:
+        self._memory = memory
+        self._known = set[str]()
+        self._first: dict[str, str] = {}  # topic → its first frame
+        self._stamps: dict[tuple[str, str], dict[int, list[_Content]]] = {}
+
+    def of(self, topic: str, frame: PeopleMessage) -> tuple[str, str]:
+        """Return the name of a message's sensor, and the reason for which it is dropped, or ""."""
+        first = self._first.setdefault(topic, frame.frame_id)
+        stamps = self._stamps.get((topic, frame.frame_id), {})
+        content = [one[:3] for one in frame.people]
+        before = stamps.get(frame.stamp, [])
+        if content in before or len(before) >= _PUBLISHERS:
+            return "", _AGAIN
+        name = sensor_name(topic, "" if frame.frame_id == first else frame.frame_id, len(before))
+        if name not in self._known and len(self._known) >= MOST_SENSORS:
+            return "", _SENSORS
+        self._known.add(name)
+        self._stamps[topic, frame.frame_id] = stamps
+        newest = max(stamps, default=frame.stamp)
+        if frame.stamp > newest - self._memory:
+            stamps.setdefault(frame.stamp, []).append(content)
+            for stamp in [one for one in stamps if one < frame.stamp - self._memory]:
+                del stamps[stamp]
+        return name, ""
 
 
 class Live:
-    """Tracker of all people in the messages of a topic.
+    """Tracker of all people in the messages of one topic or several.
 
-    People with names keep them as identities; messages out of sequence are used within the lag.
-    `OnlineTracker` assigns identities to the others, whose messages are joined and put in order, with a delay
-    of at most 0.25 s where they are out of sequence. Messages at most 10 ms apart are views of one time, by
-    several sensors.
+    Each topic is a sensor, and each frame of reference of its messages; messages of a topic that have one
+    stamp and other content are of several sensors too. People with names keep them as identities; messages
+    out of sequence are used within the lag. `OnlineTracker` assigns identities to the others, whose messages
+    are scans of their sensors, and are put in order, with a delay of at most 0.25 s where they are out of
+    sequence.
 
     Parameters
     ----------
@@ -201,7 +223,8 @@ class Live:
         warn: Callable[[str], object] = logging.getLogger("graphtrack").warning,
     ) -> None:
         self._kind, self._model, self._lag = kind, Model.named(model), lag
-        self._longest_back = max(_JUMP, round(lag * SECOND)) if math.isfinite(lag) else _JUMP
+        self._memory = round(lag * SECOND) if math.isfinite(lag) else _JUMP
+        self._longest_back = max(_JUMP, self._memory)
         self.transforms = Transforms()
         humans = Humans("person", {}) if kind == IDS else None
         self._ground = GroundFrame(fixed_frame or None, self.transforms, humans, has_transforms=False)
@@ -214,7 +237,7 @@ class Live:
     def _begin(self) -> None:
         self._last: int | None = None
         self._tracker: OnlineTracker | None = None
-        self._frames = _Frames()
+        self._scans, self._sensors = _Scans(), _Sensors(self._memory)
         self._named: dict[str, tuple[int, OnlineSmoother]] = {}
         self._commons = commons_of(None, self._model)
         self._numbers = 0
@@ -236,12 +259,13 @@ class Live:
         if self._last is not None:
             self.transforms.forget(self._last - _KEPT)
 
-    def take(self, message: Any, received: int | None = None) -> SceneEstimate | None:
-        """Process a message of the topic.
+    def take(self, message: Any, received: int | None = None, topic: str = "") -> SceneEstimate | None:
+        """Process a message.
 
         Parameters
         ----------
         received : time of arrival (ns); the time of a message without a stamp
+        topic : its topic, where there are several
 
         Returns
         -------
@@ -258,16 +282,21 @@ class Live:
         if self._last is not None and frame.stamp < self._last - self._longest_back:
             back = (self._last - frame.stamp) / SECOND
             self._warn(f"a clock that was set back by {back:g} s: tracking begins again")
-            self._drop(_HELD, len(self._frames))
+            self._drop(_HELD, len(self._scans))
             self._begin()
             self.transforms.forget_after(frame.stamp)
         names, observations = self._observed(frame)
+        sensor, reason = self._sensors.of(topic, frame)
         self._last = frame.stamp if self._last is None else max(self._last, frame.stamp)
+        if reason:
+            self._drop(reason)
+            return None
+        observations = [replace(one, sensor=sensor) for one in observations]
         if any(names) or self._named:
             return self._take_named(frame, names, observations)
         if self._tracker is None and not observations:
             return self._estimated(frame.stamp, frame.frame_id, {})
-        return self._take_nameless(frame, observations)
+        return self._take_nameless(frame, sensor, observations)
 
     def _observed(self, frame: PeopleMessage) -> tuple[list[str], list[Observation]]:
         """Return names and observations of the people with a position on the ground."""
@@ -286,16 +315,23 @@ class Live:
     def _seconds(self, stamp: int) -> float:
         return (stamp - self._origin) / SECOND
 
-    def _take_nameless(self, frame: PeopleMessage, observations: list[Observation]) -> SceneEstimate | None:
+    def _take_nameless(
+        self, frame: PeopleMessage, sensor: str, observations: list[Observation]
+    ) -> SceneEstimate | None:
         """Process detections that a tracker associates."""
-        if not self._frames.add(frame.stamp, observations):
+        if not self._scans.add(frame.stamp, sensor, observations):
             self._drop(_NOT_HELD)
         if self._tracker is None:
             self._tracker = OnlineTracker(self._model, lag=self._lag)
         found = None
-        for held in self._frames.released():
+        for held in self._scans.released():
             t = self._seconds(held.stamp)
-            people = self._tracker.update(t, [replace(one, t=t) for one in held.observations])
+            try:
+                self._tracker.check_time(t, held.sensor)
+            except InputError:  # less than the tolerance after a scan of its sensor
+                self._drop(_AGAIN)
+                continue
+            people = self._tracker.update(t, held.observations, held.sensor)
             sure = [1.0 if np.isnan(one.identity_p) else one.identity_p for one in people]
             of_number: _Found = {
                 one.track_id: (str(one.track_id), one, p) for one, p in zip(people, sure, strict=True)

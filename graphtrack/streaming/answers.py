@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from graphtrack.association.sensors import BETWEEN_SCANS
 from graphtrack.association.tracker import descriptors_of
 from graphtrack.constants.commons import Commons
 from graphtrack.constants.online import OnlineSmoother
@@ -27,12 +28,13 @@ from graphtrack.interaction.groups import Groups, OnlineGroups
 from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
-from graphtrack.saved import Saved
+from graphtrack.saved import Saved, integer
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
-from graphtrack.streaming.moving import Group, MovingSensors
+from graphtrack.streaming.moving import MOST_SENSORS, Group, MovingSensors
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
+from graphtrack.tracks.validation import SENSOR_NAME, is_sensor_name
 
 FRAMES = "frames"
 """Key of `EndedFrames` among the saved members of a stream."""
@@ -72,10 +74,9 @@ class SceneBehaviour(Saved):
         self._groups = OnlineGroups()
         self._attention = OnlineAttention(asked.places) if asked.attention else None
 
-    @property
-    def t(self) -> float:
-        """Time of the last frame with people, seconds; −∞ before the first."""
-        return self._groups.t
+    def after(self, t: float) -> float:
+        """Return a time, or a little later one where the last frame with people is at that time."""
+        return max(t, self._groups.t + BETWEEN_SCANS)
 
     def columns(self, people: People) -> dict[int, dict[str, Any]]:
         """Return the columns of each person of a frame, by track id, ascending."""
@@ -422,16 +423,37 @@ ONE = ""
 
 Name = str | int
 
+Ends = Literal["nothing", "scan", "time"]
+"""What a line ends: nothing, the scan of a sensor, or all scans of a time."""
+
 MOST_DETECTIONS = 10_000
 """Largest number of detections in a frame."""
 
 
+@dataclass
+class Scan:
+    """The detections of one sensor at one time, and the number of its frame; None: without a number."""
+
+    number: int | None = None
+    observations: list[Observation] = field(default_factory=list)
+
+    def state(self) -> list[Any]:
+        """Return the state to continue from, as JSON-able data."""
+        return [self.number, [pack_observation(one) for one in self.observations]]
+
+    @classmethod
+    def from_state(cls, state: Sequence[Any]) -> Scan:
+        """Return the scan of a `state`."""
+        number, observations = state
+        return cls(None if number is None else integer(number), [*map(unpack_observation, observations)])
+
+
 class DetectionStream(Saved):
-    """A stream: its tracker, its groups and attention, its clock, and the current frame.
+    """A stream: its tracker, its groups and attention, its clock, and the scans of the current time.
 
     Attributes
     ----------
-    t, number, observations : of the current frame; None and empty between frames
+    t, scans : the current time and its scans by the names of sensors; None and empty between times
     elapsed : seconds of all streams together at the last row, see `Scenes`
     offset : ``elapsed`` minus the time of a row
     numbered : greatest track id in the streams that were forgotten by then
@@ -442,7 +464,6 @@ class DetectionStream(Saved):
         "behaviour": Saved,
         "clock": Saved,
         "t": float | None,
-        "number": int | None,
         "elapsed": float,
         "offset": float,
         "numbered": int,
@@ -454,25 +475,71 @@ class DetectionStream(Saved):
         self.tracker, self.behaviour, self.clock = tracker, behaviour, StreamClock(jump)
         tracker.unused = ()  # the stream itself notes keys that are not used
         self.t: float | None = None
-        self.number: int | None = None
-        self.observations: list[Observation] = []
+        self.scans: dict[str, Scan] = {}
         self.elapsed, self.offset, self.numbered = 0.0, 0.0, 0
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""
-        return super().state() | {"seen": [pack_observation(one) for one in self.observations]}
+        return super().state() | {"scans": [[name, one.state()] for name, one in self.scans.items()]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`."""
         super().restore(state)
-        self.observations = [unpack_observation(one) for one in state["seen"]]
+        self.scans = {str(name): Scan.from_state(one) for name, one in state["scans"]}
+
+    @property
+    def observations(self) -> list[Observation]:
+        """Detections of the current time."""
+        return [one for scan in self.scans.values() for one in scan.observations]
+
+    def add(self, number: int | None, one: Observation) -> None:
+        """Add a detection to the scan of its sensor; one without a position only begins that scan."""
+        scan = self.scans.setdefault(one.sensor, Scan())
+        if one.position is not None:
+            scan.number = number
+            scan.observations.append(one)
+
+    def sensor_of_end(self, is_open: bool) -> str:
+        """Return the sensor of an end without a name.
+
+        Of scans that wait or are open it is any of these, else the only sensor. Raise InputError if there are
+        several.
+
+        Parameters
+        ----------
+        is_open : whether the end is of the current time
+        """
+        if self.clock.waiting:
+            return self.clock.waiting[-1][1].sensor
+        if is_open and self.scans:
+            return next(iter(self.scans))
+        names = self._sensors()
+        if len(names) > 1:
+            known = ", ".join(sorted(map(repr, names)))
+            raise InputError(
+                "an empty scan without its sensor", f"sensor, one of {known}"[:200], column="sensor"
+            )
+        return next(iter(names), "")
+
+    def check_sensor(self, sensor: str) -> None:
+        """Raise InputError if a sensor is one too many."""
+        if sensor not in self.scans and sensor not in self.tracker.sensors:
+            names = self._sensors()
+            if sensor not in names and len(names) >= MOST_SENSORS:
+                raise InputError(f"one more than {MOST_SENSORS} sensors", "rows of those", column="sensor")
+
+    def _sensors(self) -> set[str]:
+        waiting = (one.sensor for _, one in self.clock.waiting)
+        return {*self.tracker.sensors, *self.scans, *waiting}
 
 
 class Scenes(Answering):
     """An online tracker for each stream, made when the stream first appears.
 
-    A frame ends with the next time, or with ``{"end": t}``; then its people are reported, each in a row, and
-    a row ``{"end": t, …}`` reports their number and the revisions of earlier frames.
+    A frame is a scan of one sensor at one time. It ends with the next time, with ``{"end": t}``, which ends
+    all scans of that time, or with ``{"end": t, "sensor": name}``; then its people are reported, each in a
+    row, and a row ``{"end": t, …}`` reports their number and the revisions of earlier frames. Rows of several
+    sensors at one time may alternate; scans that end together are processed in the order of their names.
 
     Streams may have clocks of their own. Seconds that elapse are therefore those of whichever stream is
     ahead, each counted from what had elapsed at the stream's first row.
@@ -535,7 +602,8 @@ class Scenes(Answering):
             given = dict(pairs)
             name = _name(given.get("stream"))
             if "end" in given:
-                return self._take(name, checked(Observation(_seconds(given["end"]))), None, is_end=True)
+                ends: Ends = "time" if given.get("sensor") is None else "scan"
+                return self._take(name, _end_of(given), None, ends)
             return self._take(name, *self._detection(pairs))
         except InputError as error:
             return [error_row(pairs, number, error)]
@@ -562,37 +630,44 @@ class Scenes(Answering):
         return self._moving.in_world(observation_of({**cells, "frame": number or 0}, self.fps)), number
 
     def _take(
-        self, name: Name, one: Observation, number: int | None, *, is_end: bool = False
+        self,
+        name: Name,
+        one: Observation,
+        number: int | None,
+        ends: Ends = "nothing",
     ) -> list[dict[str, Any]]:
-        """Process a detection, or the end of a frame, if its time is plausible or confirmed."""
+        """Process a detection, or the end of a scan or a time, if its time is plausible or confirmed."""
         frame = self._known(name)
         verdict = frame.clock.verdict(one.t)
         if verdict == "plausible" and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
-            column = "end" if is_end else "t"
+            column = "t" if ends == "nothing" else "end"
             raise InputError(f"{column} = {one.t:.15g}", f"a time from {frame.t:.15g} on", column=column)
-        if not is_end:
+        is_open = frame.t is not None and not self._is_after(frame, one.t)
+        if ends == "time":
+            one = replace(one, sensor=frame.sensor_of_end(is_open))
+        frame.check_sensor(one.sensor)
+        if ends == "nothing":
             one = frame.tracker.on_the_ground(one, one.t)
             size = frame.tracker.descriptor_size
             descriptors_of([one] if size else [*frame.observations, one], size)
-            if len(frame.observations) >= MOST_DETECTIONS and not self._is_after(frame, one.t):
+            if is_open and len(frame.observations) >= MOST_DETECTIONS:
                 raise InputError(f"one more than {MOST_DETECTIONS} detections", "a later time", column="t")
         if verdict == "plausible":
-            frame.tracker.check_time(one.t)
+            frame.tracker.check_time(one.t, one.sensor)
         self._see(name, frame, None if verdict == "unconfirmed" else one.t)
         if verdict == "unconfirmed":
             self.note_unconfirmed(one.t, frame.clock)
             frame.clock.wait(number, one, MOST_DETECTIONS)
             counts = {"detections": len(_detections(frame.clock.waiting)), "status": "unconfirmed"}
-            return [_of_stream(name) | {"end": one.t} | counts]
+            return [_of_stream(name) | {"end": one.t} | _of_sensor(one.sensor) | counts]
         rows = self._confirm(name, frame) if verdict == "confirmed" else []
         frame.clock.advance(one.t)
         if self._is_after(frame, one.t):
             rows += self._flush(name)
         frame.t = one.t if frame.t is None else frame.t
-        if is_end:
-            return rows + self._flush(name) + self._forget_streams(frame)
-        frame.number = number
-        frame.observations.append(one)
+        frame.add(number, one)
+        if ends != "nothing":
+            rows += self._flush(name, one.sensor if ends == "scan" else None)
         return rows + self._forget_streams(frame)
 
     def _known(self, name: Name) -> DetectionStream:
@@ -633,15 +708,16 @@ class Scenes(Answering):
         frame.elapsed, frame.numbered = elapsed, numbered
 
     def _confirm(self, name: Name, frame: DetectionStream) -> list[dict[str, Any]]:
-        """End the current frame and the frame whose time is confirmed; an earlier time is a new beginning."""
+        """End the current scans and those whose time is confirmed; an earlier time is a new beginning."""
         rows = self._flush(name)
         note, is_earlier, waiting = frame.clock.confirm()
         self._note(note if name == ONE else f"stream {name}: {note}")
         if is_earlier:
             again = self._begin(frame.tracker.next_number)
             frame.tracker, frame.behaviour = again.tracker, again.behaviour
-        (frame.number, last), frame.observations = waiting[-1], _detections(waiting)
-        frame.t = last.t
+        frame.t = waiting[-1][1].t
+        for number, one in waiting:
+            frame.add(number, one)
         return rows + self._flush(name)
 
     def _forget_streams(self, newest: DetectionStream) -> list[dict[str, Any]]:
@@ -657,43 +733,64 @@ class Scenes(Answering):
 
     @staticmethod
     def _is_after(frame: DetectionStream, t: float) -> bool:
-        """Return True if a time (seconds) is after the current frame."""
+        """Return True if a time (seconds) is after the current one."""
         return frame.t is not None and t > frame.t + TIME_TOLERANCE
 
-    def _flush(self, name: Name) -> list[dict[str, Any]]:
-        """Pass the ended frame to the tracker, and return its people."""
+    def _flush(self, name: Name, sensor: str | None = None) -> list[dict[str, Any]]:
+        """Pass the ended scans to the tracker, by default all, and return their people."""
         frame = self.members[name]
-        if frame.t is None:
-            return []
-        of_stream = _of_stream(name)
+        rows: list[dict[str, Any]] = []
+        for one in sorted(frame.scans) if sensor is None else [sensor]:
+            rows += self._of_scan(name, one, frame.scans.pop(one))
+        frame.t = frame.t if frame.scans else None
+        return rows
+
+    def _of_scan(self, name: Name, sensor: str, scan: Scan) -> list[dict[str, Any]]:
+        """Pass a scan of the current time to the tracker, and return its people."""
+        frame = self.members[name]
+        of_stream, of_sensor = _of_stream(name), _of_sensor(sensor)
         learnings = frame.tracker.learned
-        people = frame.tracker.update(frame.t, frame.observations)
+        people = frame.tracker.update(frame.t, scan.observations, sensor)
         ahead = {} if self._horizon is None else by_person(frame.tracker.forecast(*self._horizon))
-        more = (
-            {} if frame.behaviour is None else frame.behaviour.columns(people_of_estimates(frame.t, people))
-        )
-        number = frame.tracker.updates - 1 if frame.number is None else frame.number
+        more: dict[int, dict[str, Any]] = {}
+        if frame.behaviour is not None:
+            more = frame.behaviour.columns(people_of_estimates(frame.behaviour.after(frame.t), people))
+        number = frame.tracker.updates - 1 if scan.number is None else scan.number
         rows: list[dict[str, Any]] = []
         for person in people:
-            row = estimate_row(person.track_id, person) | {"frame": number}
+            row = estimate_row(person.track_id, replace(person, frame=number, sensor=sensor))
             sure = person.identity_p if person.observed else None
             row |= {"identity_p": sure, "observed": float(person.observed)}
             row |= more.get(person.track_id, {})
             if person.track_id in ahead:
                 row["forecast"] = ahead[person.track_id]
             rows.append(of_stream | row)
-        counts = {"people": len(people), "detections": len(frame.observations)}
-        revised = [asdict(one) for one in frame.tracker.revised]
+        counts = {"people": len(people), "detections": len(scan.observations)}
+        revised = [
+            asdict(one) | _of_sensor(frame.tracker.sensor_of(one.frame)) for one in frame.tracker.revised
+        ]
         found: dict[str, Any] = {"revised": revised} if revised else {}
         if frame.tracker.learned > learnings:
             found["scene"] = asdict(frame.tracker.scene)
-        rows.append(of_stream | {"end": frame.t} | counts | found)
-        frame.t, frame.number, frame.observations = None, None, []
+        rows.append(of_stream | {"end": frame.t} | of_sensor | counts | found)
         return rows
 
 
 def _of_stream(name: Name) -> dict[str, Any]:
     return {} if name == ONE else {"stream": name}
+
+
+def _of_sensor(name: str) -> dict[str, Any]:
+    return {"sensor": name} if name else {}
+
+
+def _end_of(given: Mapping[str, Any]) -> Observation:
+    """Return an end as an observation without a position."""
+    sensor = given.get("sensor")
+    sensor = "" if sensor is None else sensor
+    if not is_sensor_name(sensor):
+        raise InputError(f"{sensor!r}"[:100], SENSOR_NAME, column="sensor")
+    return checked(Observation(_seconds(given["end"]), sensor=sensor))
 
 
 def _detections(waiting: Sequence[tuple[int | None, Observation]]) -> list[Observation]:

@@ -45,7 +45,7 @@ PATIENCE = 2.0
 """Seconds that rows wait for a pose where the lag is unlimited."""
 
 MOST_SENSORS, MOST_POSES, MOST_WAITING = 256, 10_000, 10_000
-"""Most moving sensors of a stream, poses of each within the lag, and rows that wait."""
+"""Most sensors of a stream that move, or that detect, poses of each within the lag, and rows that wait."""
 
 Group = str | int | None
 """Stream of detections, whose lines stay in order; None: rows with identities, which need not."""

@@ -307,6 +307,8 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     std = [math.sqrt(one) if one >= 0.0 else math.nan for one in variance]
     position, velocity = estimate.position.tolist(), estimate.velocity.tolist()
     row: dict[str, Any] = {"track_id": track_id, "frame": estimate.frame, "t": estimate.t}
+    if estimate.sensor:
+        row["sensor"] = estimate.sensor
     values = (*position, *velocity, math.degrees(estimate.body), math.degrees(estimate.head))
     spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
     for name, value in zip(_NUMBERS, values + spread, strict=True):

@@ -729,18 +729,30 @@ def with_frames(
     fps: float | None,
     notes: list[str],
 ) -> None:
-    """Number the frames of a table that has times alone."""
+    """Number the frames of a table that has times alone; those of several sensors each by themselves."""
     if "frame" in columns or "t" not in columns or not len(columns["t"]):
         return
     t = columns["t"]
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
-    known, place = distinct_times(t)
-    frames, how = numbered_times(known)
-    columns["frame"] = frames[place].astype(float)
-    notes.append(f"no frames: {how}")
+    found, ways = np.empty(len(t)), dict[str, None]()
+    for rows in _of_each_sensor(columns):
+        known, place = distinct_times(t[rows])
+        frames, how = numbered_times(known)
+        found[rows] = frames[place]
+        ways[how] = None
+    columns["frame"] = found
+    notes += [f"no frames: {how}" for how in ways]
     if "track_id" in columns and "sensor" not in columns:
         _check_once(columns, cells, named)
+
+
+def _of_each_sensor(columns: Mapping[str, NDArray[Any]]) -> list[NDArray[np.int64]]:
+    """Return the rows of each sensor; of all where there is no column of sensors."""
+    if "sensor" not in columns:
+        return [np.arange(len(columns["t"]))]
+    sensors, sensor = np.unique(columns["sensor"].astype(str), return_inverse=True)
+    return [np.flatnonzero(sensor == one) for one in range(len(sensors))]
 
 
 def _check_once(columns: Mapping[str, NDArray[Any]], cells: Cells, named: Mapping[str, str]) -> None:

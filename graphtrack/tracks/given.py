@@ -16,7 +16,8 @@ from graphtrack.tracks.schema import COLUMNS, Column
 from graphtrack.tracks.track import Track, channel_of
 
 _OBSERVED = (
-    *("position", "position_std", "pixel", "score"),
+    *("position", "position_std", "position_covariance", "pixel", "score"),
+    *("observed_velocity", "observed_velocity_covariance", "body_axis", "body_axis_kappa"),
     *("body", "body_kappa", "body_likelihood", "head", "head_kappa", "head_likelihood"),
 )
 """Fields that no engine sets alone, and that are no truth."""

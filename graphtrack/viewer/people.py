@@ -223,9 +223,10 @@ def _unwrapped(angle: FloatArray, last: dict[str, float], name: str) -> FloatArr
 
 def _step(t: FloatArray, frame: IntArray) -> tuple[float, int]:
     """Return seconds and frames from row to row."""
-    if len(t) < 2:
+    times = np.unique(t)  # rows of several sensors may have one time
+    if len(times) < 2:
         return 0.04, 1
-    return float(np.median(np.diff(t))), max(1, int(np.median(np.diff(frame))))
+    return float(np.median(np.diff(times))), max(1, int(np.median(np.diff(frame))))
 
 
 def _next(t: FloatArray, frame: IntArray) -> tuple[FloatArray, NDArray[np.int64]]:

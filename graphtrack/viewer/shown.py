@@ -11,20 +11,24 @@ import numpy as np
 from graphtrack.association.associate import tracks_of
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import check_place
+from graphtrack.io.sensors import SensorScene
 from graphtrack.report.interaction import behaviour_of
-from graphtrack.report.lives import finite_rows, observed_angle
+from graphtrack.report.lives import finite_rows, observed_angle, pair_track
+from graphtrack.report.sensors import shown_sensors
 from graphtrack.tracks.track import TrackSet
 from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import LoggedPeople
 from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, open_frames, show_boxes, show_frames
 from graphtrack.viewer.recording import CLOCK_TIMES, Target, recording
+from graphtrack.viewer.sensors import show_sensors
 
 if TYPE_CHECKING:
     from graphtrack.forecasting.recorded import Forecasts
     from graphtrack.geometry.angles import FloatArray
     from graphtrack.interaction.groups import Groups
     from graphtrack.io.read_write import Given
+    from graphtrack.io.sensors import SensorsLike
 
 
 def view(
@@ -37,6 +41,7 @@ def view(
     video: str | Path | None = None,
     boxes: PersonBoxes | None = None,
     person: int | None = None,
+    sensors: SensorsLike | None = None,
 ) -> None:
     """Show tracks in Rerun: the ground from above, the video, and series of one person, on one time line.
 
@@ -52,6 +57,7 @@ def view(
     video : video, or folder of images, with the frame numbers of the tracks
     boxes : boxes of people in its frames
     person : person whose time series are drawn; by default the person with most rows
+    sensors : descriptions of the sensors, or their file, with fields of view; others are learned
 
     Raises
     ------
@@ -79,6 +85,8 @@ def view(
     arranged = layout(where, chosen, series=_series(tracks, chosen), video=bool(frames or boxes))
     with recording(target, arranged, clock=clock) as made:
         show_ground(made, where)
+        shown = shown_sensors(map(pair_track, placed), None if sensors is None else SensorScene.of(sensors))
+        show_sensors(made, shown, placed)
         people = LoggedPeople(made, where.size, _names(tracks))
         for track in placed:
             people.add(track)

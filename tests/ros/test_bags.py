@@ -34,7 +34,9 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 
 import graphtrack as gt
 from graphtrack.io.formats.ros_bag import MARKERS
+from graphtrack.io.formats.ros_reading import rows_of_bag
 from graphtrack.io.formats.ros_writing import TOPICS
+from graphtrack.io.options import ReadOptions
 from graphtrack.tracks.table import AsRead
 from graphtrack.tracks.time import TimeScale
 from graphtrack.tracks.track import Track, TrackSet
@@ -84,7 +86,8 @@ def test_detections_say_orientation_spread_and_score(tmp_path):
     (track,) = gt.read(record(tmp_path / "bag", {"/detections": told}))
     np.testing.assert_allclose(track.body, 1.2)
     np.testing.assert_allclose(track.body_kappa, 1 / 0.2)
-    np.testing.assert_allclose(track.position_std, math.sqrt((0.04 + 0.09) / 2))
+    assert track.position_std is None
+    np.testing.assert_allclose(track.position_covariance, [np.diag([0.04, 0.09])] * 20, atol=1e-12)
     np.testing.assert_allclose(track.score, 0.75)
     assert track.head is None
 
@@ -181,12 +184,66 @@ def cameras(offset, split, noise=0.02):
 
 
 @pytest.mark.parametrize(("offset", "split"), [(0.0, False), (0.0, True), (0.004, True)])
-def test_cameras_that_overlap_see_each_person_once(tmp_path, offset, split):
+def test_cameras_that_overlap_are_sensors_that_see_each_person_once(tmp_path, offset, split):
     tracks = gt.read(record(tmp_path / "bag", cameras(offset, split)))
     assert sorted(round(float(np.mean(one.position[:, 1]))) for one in tracks) == [0, 3, 6]
-    assert all(len(one) == 20 for one in tracks)
-    assert tracks.summary.refused == {"repeated with the same stamp": 20}
-    assert len({t for one in tracks for t in one.t.tolist()}) == 20
+    # Nothing is dropped or averaged: the second person has the rows of both.
+    assert sorted(len(one) for one in tracks) == [20, 20, 40] and not tracks.summary.refused
+    names = {name for one in tracks for name in one.sensor.tolist()}
+    assert names == ({"/a", "/b"} if split else {"", "#2"})
+    assert len({t for one in tracks for t in one.t.tolist()}) == (40 if offset else 20)
+
+
+def test_repeated_messages_are_counted_and_frames_of_a_topic_are_sensors(tmp_path):
+    told = cameras(0.0, False)["/a"]
+    twice = [one for one in told for _ in range(2)]
+    tracks = gt.read(record(tmp_path / "bag", {"/a": twice}))
+    assert tracks.summary.refused == {"repeated with the same stamp": 80}
+    assert sorted(len(one) for one in tracks) == [20, 20, 40]
+    frames = [
+        (t, make(POSES, header=header(t, frame), poses=[pose(t, 3.0 * k)]))
+        for t in TIMES
+        for k, frame in enumerate(("left", "right"))
+    ]
+    still = [
+        (0.0, transforms(transform(0.0, "map", name, 0.0, 0.0, turned(0.0)))) for name in ("left", "right")
+    ]
+    bag = record(tmp_path / "frames", {"/poses": frames, "/tf_static": still})
+    tracks = gt.read(bag, fixed_frame="map")
+    assert sorted(set(one.sensor.tolist()) for one in tracks) == [{""}, {"right"}]
+
+
+def test_people_of_several_topics_have_their_sensor_and_one_topic_has_none(tmp_path):
+    other = [(t + 0.002, people(t, [person("anna", t, 8.0)])) for t in TIMES]
+    bag = record(tmp_path / "bag", {"/left/people": walkers(), "/right/people": other})
+    found = {one.label: set(one.sensor.tolist()) for one in gt.read(bag)}
+    assert found["/left/people/anna"] == {"/left/people"} and found["/right/people/anna"] == {"/right/people"}
+    assert all(one.sensor is None for one in gt.read(bag, topic="/left/people"))
+
+
+def test_each_sensor_has_frame_numbers_of_its_own(tmp_path):
+    """Two sensors at other rates: no frame without detections comes between those of one of them."""
+    rng, told = np.random.default_rng(0), {"/a": [], "/b": []}
+    for topic, hz in (("/a", 10.0), ("/b", 12.5)):
+        for k in range(int(8 * hz)):
+            t = k / hz + rng.uniform(0.0, 0.002)
+            told[topic].append((t, make(POSES, header=header(t), poses=[pose(1.2 * t, 0.0, 0.1)])))
+    rows = rows_of_bag(record(tmp_path / "bag", told), ReadOptions())
+    for topic in told:
+        assert set(np.diff(rows.frame[rows.sensor == topic]).tolist()) == {1}
+
+
+def test_covariances_are_ellipses_in_the_fixed_frame(tmp_path):
+    told = [
+        (t, detections(t, [detection("7", t, 0.0, 0.0, covariance(0.25, 0.01))], "camera")) for t in TIMES
+    ]
+    still = [(0.0, transforms(transform(0.0, "map", "camera", 0.0, 0.0, turned(math.pi / 2))))]
+    bag = record(tmp_path / "bag", {"/detections": told, "/tf_static": still})
+    (track,) = gt.read(bag, fixed_frame="map")
+    assert track.position_std is None
+    np.testing.assert_allclose(
+        track.position_covariance, np.tile(np.diag([0.01, 0.25]), (20, 1, 1)), atol=1e-9
+    )
 
 
 def test_detections_of_one_fast_sensor_stay_apart(tmp_path):
@@ -236,8 +293,10 @@ def test_tf_brings_people_to_the_fixed_frame(tmp_path):
     (map_,) = gt.read(bag, fixed_frame="/map")
     np.testing.assert_allclose(map_.position, np.tile([5.0 - 2.0, 6.0 + 3.0], (20, 1)), atol=1e-6)
     np.testing.assert_allclose(map_.body, 1.0 + math.pi / 2, atol=1e-6)
-    # The mean of both variances does not depend on the turn.
-    np.testing.assert_allclose(map_.position_std, math.sqrt(0.025))
+    for t, ellipse in zip(TIMES, map_.position_covariance, strict=True):
+        angle = 0.5 * t + 0.3 + math.pi / 2
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        np.testing.assert_allclose(ellipse, turn @ np.diag([0.04, 0.01]) @ turn.T, atol=1e-6)
     as_it_stands = gt.read(bag)
     assert any("--fixed-frame" in note for note in as_it_stands.summary.notes)
     with pytest.raises(
@@ -431,7 +490,13 @@ def test_positions_orientations_and_spreads_come_back(written):
         np.testing.assert_allclose(back.body, one.body)
         np.testing.assert_allclose(back.head, one.head)
         variance = np.diagonal(one.covariance, axis1=1, axis2=2)
-        np.testing.assert_allclose(back.position_std**2, variance[:, :2].mean(axis=1))
+        spread = one.covariance[:, :2, :2]
+        for k, ellipse in enumerate(np.broadcast_to(np.nan, (len(one), 2, 2))):
+            if back.position_covariance is not None:
+                ellipse = back.position_covariance[k]
+            if np.isnan(ellipse).any():
+                ellipse = back.position_std[k] ** 2 * np.eye(2)
+            np.testing.assert_allclose(ellipse, spread[k], rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(1.0 / back.body_kappa, variance[:, 4])
         np.testing.assert_allclose(1.0 / back.head_kappa, variance[:, 5])
 

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from recordings import START, transform, turned
 from scipy.spatial.transform import Rotation
 
-from graphtrack.io.formats.ros_bag import kappa_of, spread_of, variance_of, yaw_of
+from graphtrack.io.formats.ros_bag import ellipses_of, kappa_of, spread_of, variance_of, yaw_of
 from graphtrack.io.formats.ros_reading import Transforms
 from graphtrack.io.formats.ros_writing import PersonMessage
 
@@ -45,9 +45,14 @@ def test_spreads_do_not_depend_on_the_frame_in_which_they_are_told(xx, yy, yaw, 
     covariance[0, [0, 7, 35]] = xx, yy, yaw
     turn = Rotation.from_euler("z", angle).as_matrix()[None]
     for given_turn in (None, turn):
-        std, variance = spread_of(covariance, given_turn)
-        np.testing.assert_allclose(std**2, (xx + yy) / 2.0)
+        (ground,), variance = spread_of(covariance, given_turn)
+        own = np.eye(2) if given_turn is None else turn[0, :2, :2]
+        np.testing.assert_allclose(ground, own @ np.diag([xx, yy]) @ own.T, atol=1e-12)
         np.testing.assert_allclose(variance, yaw)
+        std, ellipse = ellipses_of(ground[None])
+        assert np.isnan(std[0]) != np.isnan(ellipse[0]).any()
+        if xx == yy:
+            np.testing.assert_allclose(std**2, xx)
     np.testing.assert_allclose(variance_of(kappa_of(variance)), yaw)
 
 
@@ -55,8 +60,23 @@ def test_spreads_do_not_depend_on_the_frame_in_which_they_are_told(xx, yy, yaw, 
 def test_covariances_that_are_unknown_say_nothing(first):
     covariance = np.zeros((1, 36))
     covariance[0, 0] = first
-    std, variance = spread_of(covariance)
-    assert np.isnan(std).all() and np.isnan(variance).all()
+    ground, variance = spread_of(covariance)
+    assert np.isnan(ground).all() and np.isnan(variance).all()
+    assert all(np.isnan(one).all() for one in ellipses_of(ground))
+
+
+@given(st.floats(0.01, 10.0), ANGLES)
+def test_circles_are_one_deviation_in_any_frame_and_flat_ellipses_their_mean_variance(variance, angle):
+    turn = Rotation.from_euler("z", angle).as_matrix()[None]
+    covariance = np.zeros((1, 36))
+    covariance[0, [0, 7]] = variance
+    std, ellipse = ellipses_of(spread_of(covariance, turn)[0])
+    np.testing.assert_allclose(std**2, variance)
+    assert np.isnan(ellipse).all()
+    flat = variance * np.ones((1, 2, 2))
+    std, ellipse = ellipses_of(flat)
+    np.testing.assert_allclose(std**2, variance)
+    assert np.isnan(ellipse).all()
 
 
 @given(arrays(float, 3, elements=st.floats(-1.0, 1.0)))

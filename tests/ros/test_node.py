@@ -31,8 +31,8 @@ from recordings import (
 
 import graphtrack as gt
 from graphtrack.io.formats.ros_bag import DETECTIONS, GAZE, GROUP, IDS, MARKERS, PEOPLE, POSES, TRANSFORMS
-from graphtrack.model import Observation
-from graphtrack.ros.live import Live, joined
+from graphtrack.ros import live as live_module
+from graphtrack.ros.live import Live
 from graphtrack.tracking import track_online
 
 
@@ -196,6 +196,18 @@ def test_groups_and_gazes_are_told_by_names(node_of):
     assert node.published["/humans/interactions/gazing"][0].__msgtype__ == GAZE
 
 
+def test_several_topics_are_sensors(node_of):
+    node = node_of(topic="/laser/people, /camera/people")
+    assert set(node.subscribed) == {"/laser/people", "/camera/people", "/tf", "/tf_static"}
+    for k in range(8):
+        for topic, who in (("/laser/people", "anna"), ("/camera/people", "ben")):
+            node.subscribed[topic][1](people(0.1 * k, [person(who, 0.1 * k, 0.0)]))
+    told = node.published["/graphtrack/people"]
+    assert len(told) == 16 and [one.name for one in told[-1].people] == ["anna", "ben"]
+    with pytest.raises(ValueError, match="a topic, or several"):
+        node_of(topic=" , ")
+
+
 def test_main_spins_until_it_is_interrupted(node_of, monkeypatch):
     spun = []
     monkeypatch.setattr(FakeNode, "parameters", {"model": "joint"})
@@ -335,18 +347,81 @@ def moving(t, cameras):
     ]
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.003])
-def test_synchronised_cameras_without_names_are_one_frame(offset):
-    """Who is in both fields of view is one person; one message alone is lost, the first second one."""
-    live, found = Live(POSES, "joint", warn=lambda text: None), None
+@pytest.mark.parametrize("offset", [0.0, 0.003, 0.05])
+@pytest.mark.parametrize("topics", [("", ""), ("/left", "/right")])
+def test_cameras_without_names_are_sensors(offset, topics):
+    """Every message is used; who is in both fields of view is one person."""
+    if offset and not topics[0]:
+        topics = ("/one", "/one")
+    live, last = Live(POSES, "joint", warn=lambda text: None), set()
     for k in range(60):
         t = 0.1 * k
         for camera, places in enumerate(moving(t, [(0, 1), (1, 2)])):
-            found = live.take(poses(t + camera * offset, places)) or found
-        if k > 40:
-            assert sorted(round(one.y) for one in found.people) == [0, 3, 6]
-            assert found.stamp == nanoseconds(t), "the second message completes the frame"
-    assert sum(live.dropped.values()) == (0 if offset else 1)
+            found = live.take(poses(t + camera * offset, places), topic=topics[camera])
+            assert found is not None and found.stamp == nanoseconds(t + camera * offset)
+            last |= {round(one.y) for one in found.people} if k > 40 else set()
+    assert last == {0, 3, 6}
+    assert not live.dropped and live._tracker.updates == 120
+    several = offset == 0.0 or topics[0] != topics[1]
+    assert len(live._tracker.sensors) == (2 if several else 1)
+
+
+def test_a_message_that_repeats_one_of_its_sensor_is_counted():
+    said = []
+    for kind, message in ((POSES, poses), (PEOPLE, lambda t, at: people(t, [person("anna", *at[0])]))):
+        live = Live(kind, "position", warn=said.append)
+        for k in range(5):
+            assert live.take(message(0.1 * k, [(0.1 * k, 0.0)]), topic="/a") is not None
+            assert live.take(message(0.1 * k, [(0.1 * k, 0.0)]), topic="/a") is None
+            assert live.take(message(0.1 * k, [(0.1 * k, 0.0)]), topic="/b") is not None
+        assert dict(live.dropped) == {"messages of a sensor with a stamp that it had": 5}
+    assert len(said) == 2
+
+
+def test_sensors_are_bounded_and_frozen_stamps_are_dropped(monkeypatch):
+    monkeypatch.setattr(live_module, "MOST_SENSORS", 3)
+    live = Live(POSES, "position", fixed_frame="map", warn=lambda text: None)
+    for frame in "abcde":
+        live.take_transforms(transforms(transform(0.0, "map", frame, 0.0, 0.0, turned(0.0))), static=True)
+        message = make(POSES, header=header(0.0, frame), poses=[pose(0.0, 0.0, 0.0)])
+        live.take(message)
+    assert live.dropped["messages of one sensor too many"] == 2
+    assert sorted(live._tracker.sensors) == ["", "b", "c"]
+    live = Live(POSES, "position", warn=lambda text: None)
+    for k in range(20):
+        live.take(poses(0.0, [(float(k), 0.0)]))
+    assert sum(live.dropped.values()) == 20 - len(live._tracker.sensors) == 17
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_two_sensors_of_a_named_person_have_the_information_of_both(order):
+    """At one time they are one observation with the information of both."""
+    spread = [covariance(0.01, 0.01), covariance(0.0004, 0.0004)]
+    information = [1.0 / 0.01, 1.0 / 0.0004]
+    share = information[1] / sum(information)
+    both, one = Live(DETECTIONS, "position"), Live(DETECTIONS, "position")
+    together = covariance(1.0 / sum(information), 1.0 / sum(information))
+    for k in range(10):
+        t, x = 0.1 * k, (0.12 * k, 0.12 * k + 0.05)
+        for sensor in order:
+            told = detections(t, [detection("7", x[sensor], 0.0, 0.0, spread[sensor])])
+            found = both.take(told, topic=f"/{sensor}")
+        mean = x[0] + share * (x[1] - x[0])
+        expected = one.take(detections(t, [detection("7", mean, 0.0, 0.0, together)]))
+    assert not both.dropped
+    for name in ("x", "y", "vx", "xx", "xy"):
+        assert getattr(found.people[0], name) == pytest.approx(getattr(expected.people[0], name), abs=1e-9)
+
+
+def test_ellipses_of_messages_are_turned_by_tf():
+    live = Live(DETECTIONS, "position", fixed_frame="map")
+    live.take_transforms(
+        transforms(transform(0.0, "map", "camera", 1.0, 2.0, turned(math.pi / 2))), static=True
+    )
+    message = detections(0.0, [detection("7", 3.0, 0.0, 0.0, covariance(0.25, 0.01))], "camera")
+    (one,) = live.take(message).people
+    assert (one.x, one.y) == pytest.approx((1.0, 5.0))
+    assert (one.xx, one.yy) == pytest.approx((0.01, 0.25), rel=1e-3)
 
 
 def test_a_camera_that_ends_delays_nobody_for_long():
@@ -357,7 +432,7 @@ def test_a_camera_that_ends_delays_nobody_for_long():
         for places in views if k < 20 else views[:1]:
             found = live.take(poses(t, places))
         said.append(found is not None and found.stamp == nanoseconds(t))
-    assert all(said[1:20]) and not any(said[21:110]) and all(said[125:])
+    assert all(said)
 
 
 def test_detections_out_of_sequence_are_put_in_order():
@@ -379,23 +454,4 @@ def test_what_is_held_and_what_is_counted_is_all():
             found = live.take(poses(t, [(1.2 * t, 0.0)]))
             said += found is not None
         processed = live._tracker.updates
-        assert processed + len(live._frames) + sum(live.dropped.values()) == len(messages)
-
-
-def test_the_more_accurate_view_is_kept_with_the_angles_of_the_other():
-    one = Observation(0.0, position=(0.0, 0.0), position_std=0.2, body=0.5, body_kappa=9.0)
-    two = Observation(0.0, position=(0.25, 0.0), position_std=0.05, head=0.1, head_kappa=4.0)
-    far = Observation(0.0, position=(9.0, 0.0))
-    found = joined([one, far], [two])
-    assert [view.position for view in found] == [(0.25, 0.0), (9.0, 0.0)]
-    assert (found[0].body, found[0].body_kappa, found[0].head) == (0.5, 9.0, 0.1)
-    assert joined([], [two]) == [two] and joined([one], []) == [one]
-
-
-@settings(max_examples=50)
-@given(st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), max_size=6), st.integers(0, 5))
-def test_two_views_of_the_same_people_are_those_people(places, shift):
-    views = [Observation(0.0, position=place) for place in places]
-    assert len(joined(views, views)) == len(views)
-    away = [Observation(0.0, position=(x + 100.0 + shift, y)) for x, y in places]
-    assert len(joined(views, away)) == 2 * len(views)
+        assert processed + len(live._scans) + sum(live.dropped.values()) == len(messages)

@@ -275,12 +275,15 @@ def test_every_address_is_described(service):
 
 def test_rows_and_answers_follow_their_schemas(service):
     schemas = json.loads(service.request("GET", "/openapi.json")[1])["components"]["schemas"]
-    sent = [json.loads(line) | {"head_deg": 10.0, "input_gaze": None} for line in rows(3)]
+    of_all = {"head_deg": 10.0, "input_gaze": None, "sensor": "laser", "pos_std": None}
+    of_all |= {"observed_x_std": 0.1, "observed_y_std": 0.2, "observed_xy_corr": 0.5}
+    sent = [json.loads(line) | of_all for line in rows(3)]
     sent.append(sent[-1] | {"x": 1e300})
     _, body = service.request("POST", "/v1/streams/schemas", "\n".join(map(json.dumps, sent)))
     note, *answers = [json.loads(line) for line in body.splitlines()]
     assert "'head_deg' is not used" in note["note"]
     assert len(answers) == len(sent) and "error" in answers[-1]
+    assert [one["sensor"] for one in answers[:-1]] == ["laser"] * (len(sent) - 1)
     for answer in answers:
         jsonschema.validate(answer, schemas["Answer"])
     for row in sent[:-1]:

@@ -360,3 +360,26 @@ def test_an_answer_becomes_a_track_in_radians() -> None:
     std = [track.std(name) for name in ("x", "y", "body")]
     np.testing.assert_allclose(np.ravel(std), [0.1, 0.2, math.radians(10.0)])  # type: ignore[arg-type]
     assert track.velocity is not None and np.isnan(track.velocity[0, 1])
+
+
+def test_fields_of_view_and_who_is_seen_are_shown(tmp_path: Path) -> None:
+    t = np.repeat(0.1 * np.arange(20), 2)
+    sensor = np.tile(["camera", "laser"], 20)
+    position = np.column_stack([t, 0.2 * np.sin(5 * t)])
+    ellipses = np.where((sensor == "laser")[:, None, None], np.nan, np.diag([0.04, 0.01]))
+    track = gt.Track(1, np.arange(40), t, position, position_covariance=ellipses, sensor=sensor)
+    described = {"camera": gt.Sensor(field_of_view=((0.0, -1.0), (3.0, -1.0), (3.0, 1.0)))}
+    gt.view(gt.TrackSet((track,)), save=tmp_path / "run.rrd", sensors=described)
+    found = read_recording(tmp_path / "run.rrd")
+    strips = next(v for k, v in found["/ground/sensors/0/view"].items() if k.endswith(":strips"))[-1]
+    np.testing.assert_allclose(strips[0], [[0, -1], [3, -1], [3, 1], [0, -1]])
+    assert any(k.endswith(":strips") for k in found["/ground/sensors/1/view"])  # learned
+    for number in (0, 1):
+        rows = next(v for k, v in found[f"/ground/sensors/{number}/seen"].items() if k.endswith(":positions"))
+        assert [time for time in rows if time >= 0][:20] == nanoseconds(np.unique(t))
+    shapes = next(v for k, v in found["/ground/sensors/0/ellipses"].items() if k.endswith(":strips"))
+    reach = np.ptp(np.array(shapes[0][0]), axis=0)
+    np.testing.assert_allclose(reach, 2.0 * math.sqrt(5.991) * np.array([0.2, 0.1]), rtol=1e-2)
+    assert not any(k.endswith(":strips") for k in found.get("/ground/sensors/1/ellipses", {}))
+    gt.view(walks(), save=tmp_path / "none.rrd")
+    assert not any("sensors" in path for path in read_recording(tmp_path / "none.rrd"))

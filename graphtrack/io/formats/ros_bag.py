@@ -29,6 +29,7 @@ from graphtrack.io.formats.mcap_reading import McapReader, unpacked
 from graphtrack.io.limits import MemoryLimit, check_stored
 from graphtrack.io.source import RemoteFile
 from graphtrack.packages import package, transform
+from graphtrack.tracks.schema import LARGEST_CORRELATION
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return position and yaw uncertainty on the ground plane from covariances of poses.
+    """Return the covariances of positions on the ground plane, and the variances of yaws, of poses.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[F
 
     Returns
     -------
-    position_std : (n,) metres, the root of the mean variance of both axes
+    position_covariance : (n, 2, 2) m²
     yaw_variance : (n,) rad²
 
     NaN where they are not positive: ROS marks unknown covariances by 0 or −1.
@@ -99,11 +100,50 @@ def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[F
     position_blocks, turns = covariance[:, :3, :3], covariance[:, 3:, 3:]
     if turn is not None:
         position_blocks, turns = (turn @ one @ turn.transpose(0, 2, 1) for one in (position_blocks, turns))
-    variance = (position_blocks[:, 0, 0] + position_blocks[:, 1, 1]) / 2.0
-    both = (covariance[:, 0, 0] > 0.0) & (covariance[:, 1, 1] > 0.0)
+    ground = 0.5 * (position_blocks + position_blocks.transpose(0, 2, 1))[:, :2, :2]
+    given, turned = (np.diagonal(one[:, :2, :2], axis1=1, axis2=2) for one in (covariance, ground))
     with np.errstate(invalid="ignore"):
-        std = np.where(both & (variance > 0.0), np.sqrt(variance), np.nan)
-        return std, np.where((covariance[:, 5, 5] > 0.0) & (turns[:, 2, 2] > 0.0), turns[:, 2, 2], np.nan)
+        known = np.all((given > 0.0) & (turned > 0.0) & np.isfinite(ground).all(axis=2), axis=1)
+        of_yaw = (covariance[:, 5, 5] > 0.0) & (turns[:, 2, 2] > 0.0)
+    found = ground.copy()
+    found[~known] = np.nan
+    return found, np.where(of_yaw, turns[:, 2, 2], np.nan)
+
+
+_ROUND = 1e-9
+"""Relative difference of the variances of two axes, and correlation, up to which an ellipse is a circle."""
+
+
+def ellipses_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Split covariances of positions (n, 2, 2) into circles and ellipses.
+
+    Returns
+    -------
+    position_std : (n,) metres, of circles; of covariances without an inverse, by the mean variance
+    position_covariance : (n, 2, 2) m², of ellipses
+
+    NaN where it is the other, and where unknown.
+    """
+    xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+    with np.errstate(invalid="ignore"):
+        correlation = np.abs(xy) / np.sqrt(xx * yy)
+        is_round = (np.abs(xx - yy) <= _ROUND * (xx + yy)) & (correlation <= _ROUND)
+        is_ellipse = ~is_round & (correlation <= LARGEST_CORRELATION)
+        std = np.where(is_ellipse, np.nan, np.sqrt((xx + yy) / 2.0))
+    return std, np.where(is_ellipse[:, None, None], covariance, np.nan)
+
+
+def sensor_name(topic: str, frame_id: str, publisher: int) -> str:
+    """Return the name of a sensor.
+
+    Parameters
+    ----------
+    topic : of its messages; "": there is one topic
+    frame_id : their frame of reference; "": that of the first message of the topic
+    publisher : 0, or the number of messages of that topic, frame and stamp before one of its messages
+    """
+    name = ":".join(part for part in (topic, frame_id) if part)
+    return f"{name}#{publisher + 1}" if publisher else name
 
 
 def kappa_of(variance: FloatArray) -> FloatArray:

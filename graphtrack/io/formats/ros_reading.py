@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,17 +21,18 @@ from graphtrack.io.format import Format
 from graphtrack.io.formats.ros_bag import (
     DETECTIONS,
     IDS,
-    SECOND,
     TEXT,
     TRANSFORMS,
     Bag,
     PeopleMessage,
     chosen_topics,
+    ellipses_of,
     frame_of,
     is_of_one,
     kappa_of,
     multiplied,
     open_bag,
+    sensor_name,
     sightings_of,
     spread_of,
     stamp_of,
@@ -39,7 +40,7 @@ from graphtrack.io.formats.ros_bag import (
 )
 from graphtrack.io.formats.ros_writing import write_mcap
 from graphtrack.io.options import ReadOptions
-from graphtrack.packages import optimize, transform
+from graphtrack.packages import transform
 from graphtrack.tracks.cells import Cells, Layout, rows_of_cells
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.time import TimeScale
@@ -326,9 +327,11 @@ class GroundFrame:
     def placed(self, sightings: NDArray[np.void]) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Return x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
 
+        And frame_id, and position_covariance in place of pos_std where it is an ellipse.
+
         Returns
         -------
-        columns, known : name → (n,), and a mask of rows with a known transform (n,)
+        columns, known : name → (n,) or (n, 2, 2), and a mask of rows with a known transform (n,)
         """
         if self.fixed is None:
             self.fixed = str(sightings["frame_id"][0])
@@ -356,7 +359,8 @@ class GroundFrame:
             turn[rows] = multiplied(pose.quaternion, turn[rows])
             head[rows] = multiplied(pose.quaternion, head[rows])
             known[rows] = pose.known
-        pos_std, body_variance = spread_of(sightings["covariance"], turns)
+        covariance, body_variance = spread_of(sightings["covariance"], turns)
+        pos_std, ellipses = ellipses_of(covariance)
         _, head_variance = spread_of(sightings["head_covariance"], turns)
         found_place = np.where(np.isfinite(place[:, :2]).all(axis=1, keepdims=True), place[:, :2], np.nan)
         return {
@@ -364,6 +368,7 @@ class GroundFrame:
             **_heading("head", yaw_of(head), head_variance),
             **_of_anybody(sightings, found_place),
             "pos_std": pos_std,
+            "position_covariance": ellipses,
         }, known
 
     def _placed_by_transforms(
@@ -384,6 +389,7 @@ class GroundFrame:
             **_heading("head", head, unknown),
             **_of_anybody(sightings, place),
             "pos_std": unknown,
+            "position_covariance": np.full((n, 2, 2), np.nan),
         }, known
 
 
@@ -398,6 +404,7 @@ def _of_anybody(sightings: NDArray[np.void], place: FloatArray) -> dict[str, NDA
         "stamp": sightings["stamp"],
         "name": sightings["name"],
         "number": sightings["number"],
+        "frame_id": sightings["frame_id"],
         "x": place[:, 0],
         "y": place[:, 1],
         "score": score,
@@ -417,32 +424,6 @@ _STATIC = "tf_static"
 _AGAIN = "repeated with the same stamp"
 _NO_TRANSFORM = "at a time without tf"
 _OTHER_CLASS = "of another class"
-
-TOGETHER = SECOND // 100
-"""Most nanoseconds between messages of one time, by several sensors."""
-
-_ALIKE = 0.3
-"""Most metres between one person's positions by two sensors, unless three standard deviations are more."""
-
-
-def same_people(
-    first: FloatArray, second: FloatArray, first_std: FloatArray, second_std: FloatArray
-) -> list[tuple[int, int]]:
-    """Return the pairs of observations of one person by two sensors at one time.
-
-    They are up to 0.3 m or three standard deviations apart, and the nearest ones together.
-
-    Parameters
-    ----------
-    first, second : (n, 2) and (m, 2) metres
-    first_std, second_std : (n,) and (m,) metres; NaN: unknown
-    """
-    distance = np.linalg.norm(first[:, None] - second, axis=2)
-    std = np.hypot(np.nan_to_num(first_std)[:, None], np.nan_to_num(second_std))
-    worth = np.maximum(np.maximum(_ALIKE, 3.0 * std) - distance, 0.0)
-    rows, columns = optimize.linear_sum_assignment(worth, maximize=True)
-    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-    return [(i, j) for i, j in pairs if worth[i, j] > 0.0]
 
 
 @dataclass(eq=False)
@@ -464,6 +445,8 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
             ground = _ground(bag, topics, options.fixed_frame)
             for kind in sorted({bag.topics[name] for name in topics}):
                 _read(bag, kind, topics, ground, options.classes, columns)
+            # A topic of one person is an identity.
+            sensors = [name for name in topics if not is_of_one(bag.topics[name])]
         except InputError as error:
             raise error.at(error.path or path) from error
         kinds = {bag.topics[name] for name in topics}
@@ -472,7 +455,9 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
         notes = [f"topic{'' if len(topics) == 1 else 's'} {shown}{of_kind}", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
-        return _rows(path, columns, notes, options.reference, ground.fixed or "")
+        named = topics if len(sensors) > 1 else [""] * len(topics)
+        names = [name if topic in sensors else "" for topic, name in zip(topics, named, strict=True)]
+        return _rows(path, columns, names, notes, options.reference, ground.fixed or "")
 
 
 def _is_given(classes: tuple[str, ...]) -> bool:
@@ -559,7 +544,15 @@ def _read(
         columns.parts.append({name: values[keep] for name, values in found.items()})
 
 
-def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | None, frame: str) -> Rows:
+def _rows(
+    path: Path,
+    columns: _Columns,
+    topics: Sequence[str],
+    notes: list[str],
+    reference: AsRead | None,
+    frame: str,
+) -> Rows:
+    """Return the rows; ``topics`` are the names of the topics' sensors."""
     refused = +columns.refused
     joined: dict[str, NDArray[Any]] = {}
     if columns.parts:
@@ -569,6 +562,9 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
         reasons = "; ".join(f"{count} {reason}" for reason, count in refused.items())
         found = f"no people in the messages ({reasons})" if reasons else "no people in any message"
         raise InputError(found, "people", path=path)
+    sensor, again = _sensors(joined, topics)
+    refused[_AGAIN] += int(again.sum())
+    joined = {name: values[~again] for name, values in (joined | {"sensor": sensor}).items()}
     named = joined["name"] != ""
     if named.any():
         without = np.setdiff1d(joined["topic"], joined["topic"][named])
@@ -580,9 +576,11 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
         joined = {name: values[first] for name, values in joined.items()}
     else:
         del joined["name"]
-        n, joined = len(joined["stamp"]), _of_one_time(joined)
-        refused[_AGAIN] += n - len(joined["stamp"])
-    del joined["topic"]
+        order = np.lexsort((joined["number"], joined["sensor"].astype(str), joined["stamp"]))
+        joined = {name: values[order] for name, values in joined.items()}
+    for name in ("topic", "frame_id", *([] if joined["sensor"].any() else ["sensor"])):
+        del joined[name]
+    joined |= _columns_of_ellipses(joined.pop("position_covariance"))
     if not columns.turned and np.isfinite(joined["body_rad"]).any():
         joined["body_rad"][:] = np.nan
         notes.append("all orientations equal that of the frame of reference and were treated as unknown")
@@ -600,47 +598,59 @@ def _rows(path: Path, columns: _Columns, notes: list[str], reference: AsRead | N
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
 
 
-def _of_one_time(joined: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return detections sorted by time, those of messages of one time together, and each person once.
+def _sensors(
+    joined: dict[str, NDArray[Any]], topics: Sequence[str]
+) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
+    """Return the name of the sensor of each row, and a mask of the rows of messages that repeat another.
 
-    Messages are of one time if their stamps are equal, or those of different topics at most `TOGETHER` apart.
+    Messages of one topic and frame of reference with one stamp are of several publishers, unless they are
+    equal.
     """
-    message = np.column_stack([joined[name] for name in ("stamp", "topic", "number")])
+    frames = joined["frame_id"].astype(str)
+    names, frame = np.unique(frames, return_inverse=True)
+    message = np.column_stack([joined["topic"], frame, joined["stamp"], joined["number"]])
     order = np.lexsort(message.T[::-1])
-    joined, message = {name: values[order] for name, values in joined.items()}, message[order]
-    first = np.flatnonzero(np.any(np.diff(message, axis=0, prepend=message[:1] - 1), axis=1))
-    place = np.column_stack([joined["x"], joined["y"]])
-    keep = np.ones(len(message), dtype=bool)
-    start, stamps = 0, dict[int, int]()  # of the messages of one time: the first row, and stamps by topic
-    for begin, end in pairwise([*first.tolist(), len(message)]):
-        stamp, topic, _ = message[begin].tolist()
-        near = bool(stamps) and stamp - message[start, 0] <= TOGETHER
-        if not (stamps[topic] == stamp if topic in stamps else near):
-            start, stamps = begin, {topic: stamp}
-            continue
-        stamps[topic] = stamp
-        before, new = start + np.flatnonzero(keep[start:begin]), np.arange(begin, end)
-        std = joined["pos_std"]
-        for i, j in same_people(place[before], place[new], std[before], std[new]):
-            keep[_the_lesser(joined, int(before[i]), int(new[j]))] = False
-        joined["stamp"][begin:end] = message[start, 0]
-    return {name: values[keep] for name, values in joined.items()}
+    message = message[order]
+    first_of: dict[int, int] = {}  # topic → frame of its first message
+    for row in np.lexsort((joined["number"], joined["topic"])).tolist():
+        first_of.setdefault(int(joined["topic"][row]), int(frame[row]))
+    changes = np.diff(message, axis=0, prepend=message[:1] - 1) != 0
+    begins = np.flatnonzero(changes.any(axis=1))
+    is_later = ~changes[begins, :3].any(axis=1)  # another message of that stamp is before
+    publisher, again = np.zeros(len(message), np.int64), np.zeros(len(message), bool)
+    content = [joined[name].astype(str) if name == "name" else joined[name] for name in ("x", "y", "name")]
+    known: list[tuple[Any, ...]] = []
+    ends = [*begins[1:].tolist(), len(message)]
+    for k in np.flatnonzero(is_later | np.append(is_later[1:], False)).tolist():
+        rows = order[begins[k] : ends[k]]
+        one = tuple(tuple(values[rows].tolist()) for values in content)
+        if not is_later[k]:
+            known = []
+        if one in known:
+            again[rows] = True
+        else:
+            publisher[rows] = len(known)
+            known.append(one)
+    parts = np.column_stack([joined["topic"], frame, publisher])
+    kinds, kind = np.unique(parts, axis=0, return_inverse=True)
+    of_kind = [
+        sensor_name(topics[topic], "" if first_of[topic] == place else names[place], number)
+        for topic, place, number in kinds.tolist()
+    ]
+    return np.array(of_kind, dtype=object)[kind.reshape(-1)], again
 
 
-def _the_lesser(joined: dict[str, NDArray[Any]], one: int, other: int) -> int:
-    """Return the less accurate of two rows of a person; the other gets the angles that it lacks."""
-    std = np.nan_to_num(joined["pos_std"][[one, other]], nan=np.inf)
-    kept, lesser = (other, one) if std[1] < std[0] else (one, other)
-    for name in ("body", "head"):
-        if np.isnan(joined[f"{name}_rad"][kept]):
-            for column in (f"{name}_rad", f"{name}_kappa"):
-                joined[column][kept] = joined[column][lesser]
-    return lesser
+def _columns_of_ellipses(covariance: FloatArray) -> dict[str, FloatArray]:
+    """Return covariances of positions (n, 2, 2) as columns of the native table."""
+    x, y = np.sqrt(covariance[:, 0, 0]), np.sqrt(covariance[:, 1, 1])
+    correlation = covariance[:, 0, 1] / (x * y)
+    return {"observed_x_std": x, "observed_y_std": y, "observed_xy_corr": correlation}
 
 
 def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Return a mask of the first row of each person at each stamp."""
-    _, number = np.unique(joined["name"].astype(str), return_inverse=True)
+    """Return a mask of the first row of each person by each sensor at each stamp."""
+    keys = [np.unique(joined[name].astype(str), return_inverse=True)[1] for name in ("name", "sensor")]
+    number = keys[0] * (int(keys[1].max()) + 1) + keys[1]
     order = np.lexsort((np.arange(len(number)), joined["stamp"], number))
     again = (np.diff(number[order]) == 0) & (np.diff(joined["stamp"][order]) == 0)
     first = np.ones(len(number), dtype=bool)

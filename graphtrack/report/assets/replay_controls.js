@@ -1,6 +1,6 @@
 // The replay's controls: time, speed, layers, zoom, keyboard and the address (#t=5.0&person=12&play=0&speed=2).
 
-function startReplay(root, crowd, frame, unsure, events, behaviour) {
+function startReplay(root, crowd, frame, unsure, events, behaviour, sensors) {
   const part = (name) => root.querySelector('[data-part="' + name + '"]');
   const canvas = part("canvas"), ctx = canvas.getContext("2d");
   const slider = part("time"), playButton = part("play"), clock = part("clock"), speed = part("speed"), trail = part("trail");
@@ -18,7 +18,7 @@ function startReplay(root, crowd, frame, unsure, events, behaviour) {
     if (!view) return;
     if (layers.paths && !painted) paintBackdrop();
     const strong = [crowd.chosen, crowd.hovered].filter((i) => i >= 0);
-    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, behaviour, linger: Math.max(1, 3 * frame) };
+    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, behaviour, sensors, linger: Math.max(1, 3 * frame) };
     const present = drawMoment(ctx, view, scene);
     slider.value = time - begin;
     clock.textContent = time.toFixed(2) + " s of " + end.toFixed(2) + " s · " + countOf(present, "person", "people");

@@ -1,7 +1,7 @@
 // Unpacking and decoding the replay's data, and asking where a person is at a time. Nothing here touches the page.
 
-const LENGTHS = ["x", "y", "vx", "vy", "major", "minor", "seen_x", "seen_y", "true_x", "true_y"];
-const ANGLES = ["tilt", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
+const LENGTHS = ["x", "y", "vx", "vy", "major", "minor", "seen_x", "seen_y", "seen_major", "seen_minor", "true_x", "true_y"];
+const ANGLES = ["tilt", "seen_tilt", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
 const TURN = 2 * Math.PI;
 
 // Base64 of zlib of JSON → parsed JSON.
@@ -32,6 +32,7 @@ function decodePerson(coded, steps) {
   LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length); });
   ANGLES.forEach((name) => { person[name] = undelta(coded[name], steps.angle); });
   person.sure = undelta(coded.sure, steps.sure);
+  person.sensor = undelta(coded.sensor, 1);
   person.gaps = decodeGaps(coded.gaps);
   return person;
 }
@@ -86,6 +87,14 @@ function stateAt(person, t) {
   ["body", "head", "true_body", "true_head"].forEach((name) => { state[name] = mixAngle(person[name][i], person[name][j], f); });
   ["major", "minor", "tilt", "seen_x", "seen_y", "body_std", "head_std", "seen_body", "seen_head"].forEach((name) => { state[name] = person[name][nearest]; });
   return Number.isFinite(state.x) && Number.isFinite(state.y) ? state : null;
+}
+
+// Indices of the samples at the time of one: those of several sensors.
+function samplesTogether(person, at) {
+  let first = at, last = at;
+  while (first > 0 && person.t[at] - person.t[first - 1] < 5e-4) first--;
+  while (last + 1 < person.t.length && person.t[last + 1] - person.t[at] < 5e-4) last++;
+  return Array.from({ length: last - first + 1 }, (_, k) => first + k);
 }
 
 // [left, bottom, right, top] in metres of all paths and places, with room for the arrows.

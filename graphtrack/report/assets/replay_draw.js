@@ -151,6 +151,35 @@ function drawTruth(ctx, view, state, theme) {
   });
 }
 
+function sensorColour(scene, person, at) {
+  const sensor = scene.sensors[person.sensor[at]];
+  return sensor ? sensor.colour : null;
+}
+
+// The observations of a sample and of the others at its time, in the colours of their sensors, with 95 % of their ellipses.
+function drawObservations(ctx, view, person, nearest, scene, size) {
+  samplesTogether(person, nearest).forEach((at) => {
+    if ((person.seen !== null && person.seen[at] !== "1") || !Number.isFinite(person.seen_x[at])) return;
+    const [ox, oy] = toScreen(view, person.seen_x[at], person.seen_y[at]), colour = sensorColour(scene, person, at) || scene.theme.ink;
+    if (Number.isFinite(person.seen_major[at])) {
+      ctx.strokeStyle = colour; ctx.lineWidth = 1; ctx.setLineDash([3, 2]);
+      ctx.beginPath(); ctx.ellipse(ox, oy, person.seen_major[at] * view.scale, person.seen_minor[at] * view.scale, -person.seen_tilt[at], 0, TURN); ctx.stroke();
+      ctx.setLineDash([]);
+    }
+    ctx.strokeStyle = scene.theme.surface; ctx.fillStyle = colour; ctx.lineWidth = 1;
+    ctx.beginPath(); ctx.arc(ox, oy, 3.2 * size, 0, TURN); ctx.fill(); ctx.stroke();
+  });
+}
+
+// Fields of view in the colours of their sensors; those that were learned are dashed.
+function drawViews(ctx, view, sensors) {
+  sensors.filter((one) => one.outline).forEach((one) => {
+    traceOutline(ctx, view, one.outline);
+    ctx.strokeStyle = ctx.fillStyle = one.colour; ctx.lineWidth = 1.4; ctx.setLineDash(one.learned ? [6, 4] : []);
+    ctx.globalAlpha = 0.05; ctx.fill(); ctx.globalAlpha = 0.8; ctx.stroke(); ctx.globalAlpha = 1; ctx.setLineDash([]);
+  });
+}
+
 // `size` shrinks the symbols in crowds; `strong`: the hovered or selected person.
 function drawPerson(ctx, view, person, state, scene, size, strong) {
   const { layers, theme, time, trail } = scene, here = toScreen(view, state.x, state.y), halo = size < 0.8 ? null : theme.surface;
@@ -168,11 +197,7 @@ function drawPerson(ctx, view, person, state, scene, size, strong) {
     drawTruth(ctx, view, state, theme);
   }
   if (layers.trail) strokePath(ctx, view, person, since, state.index, here, 2.2, person.colour);
-  if (layers.observation && state.seen && Number.isFinite(state.seen_x)) {
-    const [ox, oy] = toScreen(view, state.seen_x, state.seen_y);
-    ctx.strokeStyle = theme.surface; ctx.fillStyle = theme.ink; ctx.lineWidth = 1;
-    ctx.beginPath(); ctx.arc(ox, oy, 3.2 * size, 0, TURN); ctx.fill(); ctx.stroke();
-  }
+  if (layers.observation) drawObservations(ctx, view, person, state.nearest, scene, size);
   if (layers.body) drawArrow(ctx, here, state.body, 32 * size, 4 * size, theme.body, halo);
   if (layers.velocity) drawVelocity(ctx, view, state, here, theme);
   if (layers.head) drawArrow(ctx, here, state.head, 24 * size, 2.4 * size, theme.head, halo);
@@ -182,7 +207,7 @@ function drawPerson(ctx, view, person, state, scene, size, strong) {
   }
   ctx.beginPath(); ctx.arc(here[0], here[1], 5.5 * size, 0, TURN);
   ctx.fillStyle = state.seen ? person.colour : theme.surface;
-  ctx.strokeStyle = state.seen ? theme.surface : person.colour; ctx.lineWidth = state.seen ? 1.5 : 2.5 * size;
+  ctx.strokeStyle = state.seen ? sensorColour(scene, person, state.nearest) || theme.surface : person.colour; ctx.lineWidth = state.seen ? 1.5 : 2.5 * size;
   ctx.fill(); ctx.stroke();
 }
 
@@ -233,11 +258,12 @@ function drawMarks(ctx, view, scene) {
 
 function markSize(count) { return count <= 12 ? 1 : Math.max(0.6, Math.sqrt(12 / count)); }
 
-// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, behaviour, linger}. `strong` holds the indices of those to be made plain.
+// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, behaviour, sensors, linger}. `strong` holds the indices of those to be made plain.
 // Returns how many people are there.
 function drawMoment(ctx, view, scene) {
   ctx.clearRect(0, 0, view.width, view.height);
   drawGrid(ctx, view, scene.theme);
+  if (scene.layers.views) drawViews(ctx, view, scene.sensors);
   if (scene.backdrop) ctx.drawImage(scene.backdrop, 0, 0, view.width, view.height);
   const present = [];
   scene.people.forEach((person, index) => {

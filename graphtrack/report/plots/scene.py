@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,6 +31,9 @@ from graphtrack.report.style import (
 )
 from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.report.sensors import ShownSensor
 
 MARKED_GAP = 3
 """Gaps of at least this many frames get a marker at each end; shorter ones are only dotted."""
@@ -83,8 +87,17 @@ def plot_tracks(
     return plot_pairs(pair_tracks(estimates, observations), arrow_interval=arrow_interval, title=title)
 
 
-def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, title: str = "") -> Figure:
-    """`plot_tracks` of tracks that are already paired with their observations."""
+def plot_pairs(
+    pairs: tuple[Pair, ...],
+    *,
+    arrow_interval: float | None = None,
+    title: str = "",
+    sensors: Sequence[ShownSensor] = (),
+) -> Figure:
+    """`plot_tracks` of tracks that are already paired with their observations, with fields of view.
+
+    With ``sensors``, observations have the colours of their sensors.
+    """
     extent = _extent(pairs)
     span_x, span_y = extent[1] - extent[0]
     # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
@@ -104,6 +117,12 @@ def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, 
     if title:
         axes.set_title(title, loc="left", fontsize=11)
     tidy(axes)
+    for one in sensors:
+        if one.outline is not None:
+            ring = np.vstack([one.outline, one.outline[:1]])
+            style = (0.0, (5.0, 3.0)) if one.learned else "-"
+            axes.plot(*ring.T, color=one.colour, linewidth=1.1, linestyle=style, zorder=1)
+    colours = {one.name: one.colour for one in sensors}
     if is_crowd(pairs):
         for index, pair in enumerate(pairs):
             _, x, y = open_holes(pair.estimate.t, *pair.estimate.position.T)
@@ -115,7 +134,7 @@ def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, 
     enlarged = _enlargement(pairs, chosen, inch)
     for index, (pair, at) in enumerate(zip(pairs, chosen, strict=True)):
         colour, dash = person_colour(index), person_dash(index)
-        _draw_observations(axes, pair, colour)
+        _draw_observations(axes, pair, colour, colours)
         axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
         _draw_path(axes, pair, colour, dash)
         _draw_ellipses(axes, pair, at, colour, enlarged)
@@ -123,6 +142,7 @@ def plot_pairs(pairs: tuple[Pair, ...], *, arrow_interval: float | None = None, 
             _draw_heading(axes, pair.estimate, name, at, size, inch)
         _draw_id(axes, pair, colour)
     handles = _legend(pairs, enlarged)
+    handles += [_key(one.title, linewidth=1.1, marker=".", color=one.colour) for one in sensors]
     if handles:
         figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=9)
     else:
@@ -194,10 +214,13 @@ def _enlargement(pairs: tuple[Pair, ...], chosen: list[NDArray[np.intp]], inch: 
     return 1.0 if wanted <= 1.0 else _round_up(wanted)
 
 
-def _draw_observations(axes: Axes, pair: Pair, colour: str) -> None:
-    if pair.observation is not None:
-        x, y = pair.observation.position.T
-        axes.scatter(x, y, s=5, color=colour, alpha=0.55, linewidths=0, zorder=2)
+def _draw_observations(axes: Axes, pair: Pair, colour: str, of_sensors: Mapping[str, str]) -> None:
+    if pair.observation is None:
+        return
+    x, y = pair.observation.position.T
+    names = pair.observation.sensor
+    shades = colour if names is None else [of_sensors.get(name, colour) for name in names.tolist()]
+    axes.scatter(x, y, s=5, color=shades, alpha=0.55, linewidths=0, zorder=2)
 
 
 def _draw_path(axes: Axes, pair: Pair, colour: str, dash: tuple[float, ...]) -> None:

@@ -1,0 +1,165 @@
+"""Sensors of a scene for display: colours, fields of view, and the errors that were found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from graphtrack.association.sensors import Views
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.report.content import DataTable, Section
+from graphtrack.report.lives import Pair, finite_rows
+from graphtrack.report.style import group_colour
+from graphtrack.tracks.sensors import Sensor, Sensors
+
+_ARC = 49
+"""Points of an arc of a field of view."""
+
+_FEWEST = 3
+"""Fewest positions that a field of view is learned from."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSensor:
+    """A sensor for display.
+
+    Attributes
+    ----------
+    name, colour : text; "" is the sensor of rows without a name
+    outline : (k, 2) metres, of the field of view in the world; None: unknown, or it moves
+    learned : whether the outline is the convex shape around what it has observed
+    rows : number of its observations with a position
+    """
+
+    name: str
+    colour: str
+    outline: FloatArray | None
+    learned: bool
+    rows: int
+
+    @property
+    def title(self) -> str:
+        """The name to display."""
+        return self.name or "without a name"
+
+
+def shown_sensors(pairs: Iterable[Pair], described: Sensors | None = None) -> tuple[ShownSensor, ...]:
+    """Return the sensors of tracks, those that are described first; none without names and descriptions.
+
+    Parameters
+    ----------
+    described : name → description; a field of view that it lacks is learned from the positions
+    """
+    known = {} if described is None else dict(described)
+    names, position = _observed(pairs)
+    found = [*known, *(name for name in np.unique(names).tolist() if name not in known)]
+    if not any(found):
+        return ()
+    shown = []
+    for number, name in enumerate(found):
+        own, sensor = position[names == name], known.get(name, Sensor())
+        outline = None if sensor.moves else outline_of(sensor, own)
+        learned = outline is None and not sensor.moves
+        if learned and len(own) >= _FEWEST:
+            outline = _learned_outline(own)
+        shown.append(ShownSensor(name, group_colour(number), outline, learned, len(own)))
+    return tuple(shown)
+
+
+def _observed(pairs: Iterable[Pair]) -> tuple[np.ndarray, FloatArray]:
+    """Return the names of sensors (n,) and the positions (n, 2) that they observed, else the estimates."""
+    names, positions = [np.empty(0, dtype=str)], [np.empty((0, 2))]
+    for pair in pairs:
+        track = pair.estimate if pair.observation is None else pair.observation
+        placed = finite_rows(track.position)
+        names.append((np.full(len(track), "") if track.sensor is None else track.sensor)[placed])
+        positions.append(track.position[placed])
+    return np.concatenate(names), np.concatenate(positions)
+
+
+def outline_of(sensor: Sensor, observed: FloatArray) -> FloatArray | None:
+    """Return the outline (k, 2) of a described field of view; None if it is not described.
+
+    A sector without a range reaches as far as the positions (n, 2) that were observed.
+    """
+    if sensor.field_of_view is not None:
+        return np.array(sensor.field_of_view)
+    if sensor.eye is None or (sensor.range is None and sensor.sector is None):
+        return None
+    eye = np.array(sensor.eye)
+    reach = sensor.range
+    if reach is None:
+        reach = float(np.linalg.norm(observed - eye, axis=1).max(initial=1.0))
+    begin, end = (0.0, math.tau) if sensor.sector is None else sensor.sector
+    arc = eye + reach * unit(np.linspace(begin, end, _ARC) + (sensor.heading or 0.0))
+    return arc if sensor.sector is None else np.vstack([eye, arc])
+
+
+def _learned_outline(position: FloatArray) -> FloatArray | None:
+    """Return the outline (k, 2) of the field of view that association learns from positions (n, 2)."""
+    (heights,) = Views.of(position, np.zeros(len(position), dtype=np.int64), 1).heights
+    compass = unit(math.tau / len(heights) * np.arange(len(heights)))
+    low, high = position.min(axis=0) - 1.0, position.max(axis=0) + 1.0
+    outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    for direction, height in zip(compass, heights, strict=True):
+        outline = _cut(outline, outline @ direction - height)
+        if len(outline) < 3:
+            return None
+    return outline
+
+
+def _cut(outline: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Return the part of a convex outline (k, 2) where a linear function, (k,) at corners, is ≤ 0."""
+    parts = []
+    for corner, value, next_corner, next_value in zip(
+        outline, beyond, np.roll(outline, -1, axis=0), np.roll(beyond, -1), strict=True
+    ):
+        if value <= 0.0:
+            parts.append(corner)
+        if (value <= 0.0) != (next_value <= 0.0):
+            parts.append(corner + value / (value - next_value) * (next_corner - corner))
+    return np.array(parts).reshape(-1, 2)
+
+
+def sensors_section(shown: Sequence[ShownSensor], described: Sensors | None = None) -> tuple[Section, ...]:
+    """Return the section with the errors of sensors and their 1-σ; none without sensors."""
+    if not shown:
+        return ()
+    known: Mapping[str, Sensor] = {} if described is None else described
+    rows = [
+        {"sensor": one.title, "observations": one.rows, **_errors(known.get(one.name, Sensor()))}
+        for one in shown
+    ]
+    columns = [name for name in rows[0] if any(row[name] is not None for row in rows)]
+    note = "Errors of the ground frame, the angles and the clock, each with its 1-σ where it was learned."
+    note = note if len(columns) > 2 else "No errors of sensors were described or learned."
+    table = DataTable.of("Sensors", [{name: row[name] for name in columns} for row in rows], note)
+    return (Section("Sensors", (table,)),)
+
+
+def _errors(sensor: Sensor) -> dict[str, Any]:
+    """Return the errors of a sensor by column of the table; None: unknown."""
+
+    def degrees(angle: float | None) -> float | None:
+        return None if angle is None else math.degrees(angle)
+
+    def milliseconds(seconds: float | None) -> float | None:
+        return None if seconds is None else 1e3 * seconds
+
+    shift, spread = (one or (None, None) for one in (sensor.shift, sensor.shift_std))
+    return {
+        "shift x (m)": shift[0],
+        "± x (m)": spread[0],
+        "shift y (m)": shift[1],
+        "± y (m)": spread[1],
+        "rotation (°)": degrees(sensor.rotation),
+        "± rotation (°)": degrees(sensor.rotation_std),
+        "angles (°)": degrees(sensor.angle_bias),
+        "± angles (°)": degrees(sensor.angle_bias_std),
+        "clock (ms)": milliseconds(sensor.clock_offset),
+        "± clock (ms)": milliseconds(sensor.clock_offset_std),
+    }
