@@ -331,9 +331,9 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
         if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
-            asked, seen = (networks.asked,), job.searched_camera
+            asked, view = (networks.asked,), job.searched_camera
             detector, alone = networks.detector, causal or job.motion.moves  # a background moves
-            search = PeopleSearch(frames, seen, clock, place, asked, alone, one_size, detector, reports)
+            search = PeopleSearch(frames, view, clock, place, asked, alone, one_size, detector, reports)
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:
             key = key_of(frames.stamp(), networks.asked)

@@ -26,17 +26,19 @@ _FEATURES = 600
 """Most corners of a keyframe."""
 _FEWEST = 40
 """Fewest corners in view from which a motion is estimated."""
-_SHARE = 0.25
-"""Least share of the corners in view with a common motion; people whom no box covers have other motions."""
+_SHARE = 0.15
+"""Least share of the corners in view with a common motion: others are hidden, or people without a box."""
+_ALIKE, _PATCH = 0.6, 4
+"""Least correlation of a corner's surroundings, and pixels on each side; that of noise is about 0.1."""
 _SECOND = 0.3
 """Corners with a second common motion, relative to those with the first, from which there is parallax."""
 _UNCERTAIN = 0.02
 """Largest 1-σ of the motion at the image's corners, in widths of the image."""
 _REACH = 2.0
 """Pixels between a corner and its place by the homography up to which it has the common motion."""
-_OVERLAP = 0.6
+_OVERLAP = 0.7
 """Least overlap of the views of a frame and of its keyframe, as intersection over the larger one."""
-_KEYFRAMES = 40
+_KEYFRAMES = 24
 """Most keyframes; the oldest but for the reference are forgotten."""
 _ROUNDING = 1.0 / 32.0 / 12.0**0.5
 """Pixels, 1-σ: OpenCV interpolates at multiples of 1/32 pixel."""
@@ -135,7 +137,7 @@ class _Picture:
         points, descriptors = cv2.ORB.create(1000).detectAndCompute(self.grey, self.background)
         return np.array([point.pt for point in points]).reshape(-1, 2), descriptors
 
-    def sees(self, pixels: FloatArray) -> BoolArray:
+    def shows(self, pixels: FloatArray) -> BoolArray:
         """Return whether pixels (n, 2) are in the background."""
         columns, rows = self.size
         with np.errstate(invalid="ignore"):
@@ -153,12 +155,12 @@ class _Keyframe:
 
     def overlap(self, homography: FloatArray) -> float:
         """Return the overlap with a frame, from its homography to the keyframe."""
-        own, other = _outline(self.picture.size), _outline(self.picture.size)
-        if (other @ homography[2, :2] + homography[2, 2] <= 0.0).any():
+        outline = _outline(self.picture.size)
+        if (outline @ homography[2, :2] + homography[2, 2] <= 0.0).any():
             return 0.0
-        seen = apply_homography(homography, other).astype(np.float32)
-        common, _ = cv2.intersectConvexConvex(own.astype(np.float32), seen)
-        return float(common / max(cv2.contourArea(own.astype(np.float32)), cv2.contourArea(seen)))
+        own, other = outline.astype(np.float32), apply_homography(homography, outline).astype(np.float32)
+        common, _ = cv2.intersectConvexConvex(own, other)
+        return float(common / max(cv2.contourArea(own), cv2.contourArea(other)))
 
 
 class CameraFollower:
@@ -228,14 +230,20 @@ class CameraFollower:
         )
 
     def _guesses(self, picture: _Picture) -> Iterator[tuple[_Keyframe, FloatArray]]:
-        """Yield keyframes with a homography from the frame: by the last motion, then by descriptors."""
+        """Yield keyframes with a homography from the frame: by the last motion, then by descriptors.
+
+        The oldest keyframe with enough overlap comes first: it has the least error.
+        """
         by_last = [
             (keyframe, np.linalg.inv(keyframe.motion.to_reference) @ self._last.to_reference)
             for keyframe in self._keyframes
         ]
         overlaps = [keyframe.overlap(guess) for keyframe, guess in by_last]
-        near = [k for k, overlap in enumerate(overlaps) if overlap >= _OVERLAP]
-        yield by_last[near[0] if near else int(np.argmax(overlaps))]
+        nearest = int(np.argmax(overlaps))
+        first = next((k for k, overlap in enumerate(overlaps) if overlap >= _OVERLAP), nearest)
+        yield by_last[first]
+        if nearest != first:
+            yield by_last[nearest]
         matched = [(keyframe, _matched(keyframe.picture, picture)) for keyframe in self._keyframes]
         best, (guess, count) = max(matched, key=lambda one: one[1][1])
         if guess is not None and count >= _MATCHES:
@@ -326,28 +334,31 @@ def _aligned(keyframe: _Picture, picture: _Picture, guess: FloatArray) -> ImageM
     homography = guess if _moved(guess, outline) > _STILL else np.eye(3)
     step, there, moves = np.eye(3), corners, np.zeros(len(corners), bool)
     for _ in range(_ROUNDS):
-        seen = np.flatnonzero(picture.sees(apply_homography(np.linalg.inv(homography), corners)))
-        if len(seen) < _FEWEST:
-            return Lost(f"{len(seen)} corners of a known view, fewer than {_FEWEST}")
-        flow, known, _ = cv2.calcOpticalFlowPyrLK(
+        visible = np.flatnonzero(picture.shows(apply_homography(np.linalg.inv(homography), corners)))
+        if len(visible) < _FEWEST:
+            return Lost(f"{len(visible)} corners of a known view, fewer than {_FEWEST}")
+        warped = _warped(picture, homography, keyframe)
+        flow, status, _ = cv2.calcOpticalFlowPyrLK(
             keyframe.grey,
-            _warped(picture, homography, keyframe),
-            corners[seen].astype(np.float32),
+            warped,
+            corners[visible].astype(np.float32),
             np.empty(0, np.float32),
             winSize=(_WINDOW, _WINDOW),
             maxLevel=_LEVELS,
         )
-        known = known.ravel() > 0
-        place, there = flow[known].astype(float), corners[seen[known]]
+        known = status.ravel() > 0
+        place, there = flow[known].astype(float), corners[visible[known]]
+        alike = _correlation(warped, place, keyframe.grey, there) > _ALIKE
+        place, there = place[alike], there[alike]
         found, moves = _common_motion(place, there)
         if found is None:
-            return Lost(f"{len(place)} of {len(seen)} corners found again, without a common motion")
+            return Lost(f"{len(place)} of {len(visible)} corners found again, without a common motion")
         step = found
         homography = step @ homography
         homography = homography / homography[2, 2]
         if _moved(step, outline) < _STILL:
             break
-    share = moves.sum() / len(seen)
+    share = moves.sum() / len(visible)
     if share < _SHARE or moves.sum() < _FEWEST // 2:
         return Lost(f"a common motion of {100 * share:.0f} % of the background's corners alone")
     second = int(_common_motion(place[~moves], there[~moves])[1].sum())
@@ -366,6 +377,21 @@ def _moved(homography: FloatArray, points: FloatArray) -> float:
     return float(np.linalg.norm(apply_homography(homography, points) - points, axis=1).max())
 
 
+def _correlation(first: _Grey, place: FloatArray, second: _Grey, there: FloatArray) -> FloatArray:
+    """Return the normalised cross-correlation (n,) of two images about points (n, 2) of each."""
+    around = np.arange(-_PATCH, _PATCH + 1)
+
+    def patches(grey: _Grey, points: FloatArray) -> FloatArray:
+        highest = np.array(grey.shape[::-1]) - _PATCH - 1
+        u, v = points.round().clip(_PATCH, highest).astype(np.int64).T[:, :, None, None]
+        found = grey[v + around[:, None], u + around].reshape(len(points), -1).astype(float)
+        return found - found.mean(axis=1, keepdims=True)
+
+    a, b = patches(first, place), patches(second, there)
+    scale = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
+    return np.asarray((a * b).sum(axis=1) / np.maximum(scale, 1.0), float)
+
+
 def _common_motion(place: FloatArray, there: FloatArray) -> tuple[FloatArray | None, BoolArray]:
     """Return the homography from most places (n, 2) to their corners, and a mask (n,) of those."""
     nothing = None, np.zeros(len(place), bool)
@@ -382,8 +408,8 @@ def _warped(picture: _Picture, homography: FloatArray, keyframe: _Picture) -> _G
     warped = cv2.warpPerspective(picture.grey, homography, keyframe.size)
     rows, columns = (np.arange(0, side, _SAMPLED) for side in keyframe.grey.shape)
     sampled = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    common = picture.sees(apply_homography(np.linalg.inv(homography), sampled.astype(float)))
-    common &= keyframe.sees(sampled.astype(float))
+    common = picture.shows(apply_homography(np.linalg.inv(homography), sampled.astype(float)))
+    common &= keyframe.shows(sampled.astype(float))
     if not common.any():
         return np.asarray(warped, np.uint8)
     u, v = sampled[common].T
