@@ -21,6 +21,8 @@ from perception.images.frames import Clock
 
 NO_HOMOGRAPHY = "in a frame without a homography"
 NOT_FOLLOWED = "in a frame in which the camera's motion is not known"
+DECLARED = f"positions declare {UNDECLARED[0]:g} m and the uncertainty of the camera's motion"
+"""Note on the noise of positions by views that are not exact."""
 
 
 @dataclass(frozen=True, eq=False)
