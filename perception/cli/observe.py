@@ -284,6 +284,7 @@ class ObserveJob:
         """Write the rows of each frame to standard output."""
         from graphtrack.geometry.poses import PosePath
         from perception.ground.camera_motion import CameraFollower
+        from perception.ground.views import DECLARED
         from perception.observation.live import LiveObserver
 
         opened = self._open()
@@ -297,6 +298,8 @@ class ObserveJob:
             follower=CameraFollower(camera) if self.motion.follow_camera else None,
         )
         _stream(opened.frames, opened.people, self.searched_camera, observer, opened.refused, opened.networks)
+        if self.motion.follow_camera:
+            PRINTED.emit(f"  note: {DECLARED}")
 
     def run(self) -> Observations:
         """Return the observations, and write them to the output."""
@@ -399,18 +402,16 @@ def _ground(
 ) -> tuple[Ground | None, list[str]]:
     """Return the ground as the camera sees it, still or moving, and notes; None: no camera is known."""
     from graphtrack.geometry.poses import PosePath
-    from graphtrack.tracks.moving import UNDECLARED
     from perception.ground.camera_motion import image_motions
-    from perception.ground.views import carried_views, followed_views
+    from perception.ground.views import DECLARED, carried_views, followed_views
     from perception.observation.tables import scaled_camera
 
     frames, camera, motion, moving = opened.frames, job.camera.on_ground(), job.motion, opened.moving
-    added = f"positions declare {UNDECLARED[0]:g} m and the uncertainty of the camera's motion"
     if isinstance(moving, PosePath):
         assert camera is not None
         numbers = [number for number, known in observed.items() if known.people]
         views = carried_views(camera, moving, numbers, job.camera.clock(frames), motion.video_start or 0.0)
-        return views, [] if moving.is_exact else [added]
+        return views, [] if moving.is_exact else [DECLARED]
     if not motion.follow_camera:
         return camera if moving is None else moving, []
     reference = scaled_camera(observed, causal=job.causal) if camera is None else camera
@@ -419,9 +420,8 @@ def _ground(
     ) as decoded:
         refuse = opened.refused.setdefault
         motions = image_motions(decoded, people, camera, refuse, motion.reference_frame)
-    if camera is None:
-        added += "; no camera is known: positions are pixels of the reference frame times a scale"
-    return followed_views(reference, motions), [added]
+    scaled = ["no camera is known: positions are pixels of the reference frame times a scale"]
+    return followed_views(reference, motions), [DECLARED, *(scaled if camera is None else [])]
 
 
 def _stream(

@@ -309,9 +309,9 @@ def test_a_stream_and_python_give_the_same(clip: Path, tmp_path: Path) -> None:
     assert any("uncertainty of the camera's motion" in note for note in found.summary.notes)
     assert len(list((tmp_path / "seen").iterdir())) == N
     options = ["--boxes", boxes, "--homography", view, "--fps", FPS, "--follow-camera"]
-    rows = pd.DataFrame(
-        json.loads(line) for line in ran("observe", video, *options, "-o", "-").stdout.splitlines()
-    )
+    done = ran("observe", video, *options, "-o", "-")
+    assert "uncertainty of the camera's motion" in done.stderr
+    rows = pd.DataFrame(json.loads(line) for line in done.stdout.splitlines())
     together = pd.DataFrame(dict(found)).merge(rows, on=["track_id", "frame"])
     assert len(together) == 2 * N
     for name in ("x", "y", "observed_x_std", "observed_xy_corr", "body_p0"):
