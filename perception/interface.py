@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from graphtrack.io.options import PoseAxes
 from graphtrack.tracks.track import TrackSet
 from perception.cli.follow import follow_target
 from perception.cli.observe import ModelOptions, ObserveJob
-from perception.cli.options import CameraOptions, Reports
+from perception.cli.options import CameraOptions, MotionOptions, Reports
 from perception.cli.report import report_folder
 from perception.cli.searching import NetworkOptions
 from perception.observation.tables import Observations
@@ -34,6 +35,12 @@ def observe(
     homography: str | Path | None = None,
     calibration: str | Path | None = None,
     fps: float | None = None,
+    homographies: str | Path | None = None,
+    poses: str | Path | None = None,
+    pose_axes: PoseAxes | None = None,
+    video_start: float | None = None,
+    follow_camera: bool = False,
+    reference_frame: int | None = None,
     network: NetworkOptions | None = None,
     model: ModelOptions | None = None,
     write_boxes: str | Path | None = None,
@@ -51,6 +58,13 @@ def observe(
     boxes_first_frame : number of the recording's first frame in ``boxes``
     homography, calibration : file of the camera, one of both; None: positions are pixels times a scale
     fps : frames a second; None: the video's, or 25
+    homographies : file with one homography a frame, image to ground, of a camera that moves
+    poses : file with the poses of the vehicle that carries the camera, whose view in the vehicle's frame is
+        ``homography`` or ``calibration``
+    pose_axes : of poses in space: "robot", x forward and z up; "camera", z forward and y down
+    video_start : time of the poses at t = 0 of the video, seconds; None: 0
+    follow_camera : whether the camera's motion is followed by features of the background
+    reference_frame : number of the frame whose view ``homography`` or ``calibration`` is; None: the first
     network, model : networks, keypoints, and models of body and head of your own
     write_boxes : file for the detected boxes (MOT text)
     render : video or folder to draw the observations in
@@ -71,6 +85,9 @@ def observe(
         Path(video),
         _path(output),
         _camera(homography, calibration, fps),
+        MotionOptions(
+            _path(homographies), _path(poses), pose_axes, video_start, follow_camera, reference_frame
+        ),
         network or NetworkOptions(),
         model or ModelOptions(),
         boxes=_path(boxes),

@@ -16,6 +16,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
 from graphtrack.tracks.table import Rows, no_camera
+from graphtrack.tracks.validation import parse_number
 
 NO_CAMERA = "NO CAMERA IS KNOWN"
 """Beginning of that note: without a camera distances are approximate, and differ between files."""
@@ -132,6 +133,50 @@ def read_homography(path: str | Path) -> FloatArray:
         return check_homography(numbers.values.reshape(3, 3))
     except InputError as error:
         raise error.at(path) from error
+
+
+def read_homographies(path: str | Path, first: int) -> dict[int, FloatArray]:
+    """Read one homography a frame, image to ground, from text (spaces or commas), with a header or without.
+
+    Parameters
+    ----------
+    path : of lines with ten numbers, the frame and the homography row by row; or with the nine of the
+        homography alone, of all frames in order
+    first : number of the recording's first frame
+
+    Returns
+    -------
+    dict
+        Frame → (3, 3), as it is in the file.
+
+    Raises
+    ------
+    InputError
+        With the line of a cell that cannot be used, of a second homography of a frame, or of a singular one.
+    """
+    source = Source.open(path)
+    head = next((k for k, line in enumerate(source.lines) if line.partition("#")[0].strip()), 0)
+    cells = source.lines[head].replace(",", " ").split()
+    titles = bool(cells) and not any(parse_number(cell) is not None for cell in cells)
+    table = read_numbers(
+        source,
+        delimiter=None,
+        widths=(9, 10),
+        names=(),
+        comments=True,
+        skip=head + 1 if titles else 0,
+    )
+    numbered = table.values.shape[1] == 10
+    frames = table.integers(0) if numbered else first + np.arange(len(table.values))
+    found: dict[int, FloatArray] = {}
+    for row, (frame, values) in enumerate(zip(frames.tolist(), table.values[:, -9:], strict=True)):
+        if frame in found:
+            raise source.fail(f"frame {frame} again", "one homography a frame", line=table.line_of(row))
+        try:
+            found[frame] = check_homography(values.reshape(3, 3))
+        except InputError as error:
+            raise error.at(path, table.line_of(row)) from error
+    return found
 
 
 def read_calibration(path: str | Path) -> GroundCamera:

@@ -67,7 +67,7 @@ def channels_in_world(
         covariance = turn @ own @ _transposed(turn)
         added = _propagated(arm, spread)
         if added.any() or "position_covariance" in channels:
-            found["position_covariance"] = _definite(covariance + added)
+            found["position_covariance"] = definite(covariance + added)
             found.pop("position_std", None)
     for name in _ANGLES:
         if name in channels:
@@ -90,7 +90,7 @@ def channels_in_world(
         sideways = (relative + turning) @ _QUARTER.T
         of_yaw = spread[:, 2, 2, None, None] * sideways[:, :, None] * sideways[:, None, :]
         total = own + carried + of_yaw + _propagated(arm, rate_spread)
-        found["observed_velocity_covariance"] = _definite(total)
+        found["observed_velocity_covariance"] = definite(total)
     return found
 
 
@@ -203,7 +203,7 @@ def _filled(given: FloatArray | None, other: FloatArray) -> FloatArray:
     return other if given is None else np.where(np.isnan(given), other, given)
 
 
-def _definite(covariance: FloatArray) -> FloatArray:
+def definite(covariance: FloatArray) -> FloatArray:
     """Return symmetric covariances (n, 2, 2) whose correlation is small enough for an inverse."""
     found = 0.5 * (covariance + _transposed(covariance))
     largest = (1.0 - 2.0 * (1.0 - LARGEST_CORRELATION)) * np.sqrt(found[:, 0, 0] * found[:, 1, 1])

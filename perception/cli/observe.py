@@ -22,6 +22,7 @@ from perception.cli.options import (
     Boxes,
     CameraOptions,
     FirstFrame,
+    MotionOptions,
     Render,
     Reports,
     VideoOrFolder,
@@ -46,9 +47,12 @@ from perception.cli.searching import (
 from perception.storage import key_of
 
 if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.geometry.poses import PosePath
     from perception.detection.boxes import FrameDetections, PersonBox
     from perception.detection.ground_search import GroundSearch
     from perception.detection.yolo import YoloNetwork
+    from perception.ground.views import Ground, MovingCamera
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observation.live import LiveObserver
@@ -120,6 +124,7 @@ def observe(
     source: VideoOrFolder,
     output: options.OutputPath,
     camera: CameraOptions,
+    motion: MotionOptions,
     network: NetworkOptions,
     model: ModelOptions,
     boxes: Boxes = None,
@@ -149,6 +154,7 @@ def observe(
         source,
         output,
         camera,
+        motion,
         network,
         model,
         boxes=boxes,
@@ -175,6 +181,7 @@ class _Opened:
     people: list[PersonBox] | None  # given boxes
     identified: bool  # whether these have identities
     models: Models
+    moving: MovingCamera | PosePath | None  # None: still, or followed
     refused: dict[str, None]  # reasons; undecodable frames may be reported twice
 
 
@@ -185,6 +192,7 @@ class ObserveJob:
     source: Path
     output: Path | None
     camera: CameraOptions
+    motion: MotionOptions
     network: NetworkOptions
     model: ModelOptions
     _: KW_ONLY
@@ -208,6 +216,7 @@ class ObserveJob:
 
         camera, network, model, boxes = self.camera, self.network, self.model, self.boxes
         model.check(network.keypoints)
+        self.motion.check(camera, streamed=self.is_streamed, adapt=model.adapt)
         for name, path in (("--detector", network.detector), ("--write-boxes", self.write_boxes_to)):
             if boxes is not None and path is not None:
                 raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
@@ -224,10 +233,17 @@ class ObserveJob:
         }
         if output is not None:
             outputs["the journals of --output"] = [*search_journals(output), *_output_paths(output)]
-        inputs = {"--boxes": boxes, **camera.files, **model.files, **network.files}
+        inputs = {
+            "--boxes": boxes,
+            **camera.files,
+            **self.motion.files,
+            **model.files,
+            **network.files,
+        }
         check_output_paths(outputs, self.render, self.source, inputs, table=output)
         frames = FrameSource.open(self.source)
         refused: dict[str, None] = {}
+        moving = self._moving(frames)
         networks = network.load(frames)
         people = read_given_boxes(boxes, frames, self.boxes_first_frame, refused.setdefault, self.reports)
         identified = people is not None and (not people or people[0].identified)
@@ -236,16 +252,54 @@ class ObserveJob:
         with_appearance = not identified if self.appearance is None else self.appearance
         models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
         models = models.seeing(camera.on_ground(), frames.size)
-        return _Opened(frames, networks, people, identified, models, refused)
+        if self.motion.follow_camera and models.view is not None:
+            found = "--follow-camera with a view in which people lean in the image"
+            raise InputError(found, "a view in which they are upright")
+        return _Opened(frames, networks, people, identified, models, moving, refused)
+
+    def _moving(self, frames: FrameSource) -> MovingCamera | PosePath | None:
+        """Read the homographies or poses of a camera that moves."""
+        from graphtrack.geometry.camera import GroundCamera
+        from graphtrack.io.cameras import read_homographies
+        from perception.ground.views import NO_HOMOGRAPHY, MovingCamera, View, path_of_camera
+
+        motion = self.motion
+        if motion.poses is not None:
+            path, notes = path_of_camera(motion.poses, motion.pose_axes, self.camera.clock(frames).rate)
+            for note in notes:
+                self.reports.emit(f"  note: {note}")
+            return path
+        if motion.homographies is None:
+            return None
+        homographies = read_homographies(motion.homographies, frames.first)
+        views = {n: View(GroundCamera.from_homography(one)) for n, one in homographies.items()}
+        return MovingCamera(views, NO_HOMOGRAPHY)
+
+    @property
+    def searched_camera(self) -> GroundCamera | None:
+        """Return the camera by whose view people are searched for; None for a view that changes."""
+        return self.camera.on_ground() if self.motion.view_is_constant else None
 
     def stream(self) -> None:
         """Write the rows of each frame to standard output."""
+        from graphtrack.geometry.poses import PosePath
+        from perception.ground.camera_motion import CameraFollower
+        from perception.ground.views import DECLARED
         from perception.observation.live import LiveObserver
 
         opened = self._open()
-        clock = self.camera.clock(opened.frames)
-        observer = LiveObserver(opened.models, self.camera.on_ground(), clock, identified=opened.identified)
-        _stream(opened.frames, opened.people, observer, opened.refused, opened.networks)
+        camera, moving = self.camera.on_ground(), opened.moving
+        assert not isinstance(moving, PosePath)  # refused
+        observer = LiveObserver(
+            opened.models,
+            camera if moving is None else moving,
+            self.camera.clock(opened.frames),
+            identified=opened.identified,
+            follower=CameraFollower(camera) if self.motion.follow_camera else None,
+        )
+        _stream(opened.frames, opened.people, self.searched_camera, observer, opened.refused, opened.networks)
+        if self.motion.follow_camera:
+            PRINTED.emit(f"  note: {DECLARED}")
 
     def run(self) -> Observations:
         """Return the observations, and write them to the output."""
@@ -276,13 +330,13 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     refuse, given = refused.setdefault, people is not None
     camera, clock = job.camera.on_ground(), job.camera.clock(frames)
     points_place, frames_place, models_place = _output_paths(place)
-    one_size = render is not None and is_video(render)
+    one_size = job.motion.follow_camera or (render is not None and is_video(render))
     searched: frozenset[int] = frozenset()
     with ExitStack() as unfinished:
         if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
-            asked = (networks.asked,)
-            detector = networks.detector
-            search = PeopleSearch(frames, camera, clock, place, asked, causal, one_size, detector, reports)
+            asked, view = (networks.asked,), job.searched_camera
+            detector, alone = networks.detector, causal or job.motion.moves  # a background moves
+            search = PeopleSearch(frames, view, clock, place, asked, alone, one_size, detector, reports)
             people, searched = unfinished.enter_context(search.people(refuse))
         if networks.has_keypoints:
             key = key_of(frames.stamp(), networks.asked)
@@ -313,16 +367,17 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
             frames, people, models, journal, refuse, empty, one_size=one_size, reports=reports
         )
         seconds = time.perf_counter() - looked
-        frames_observed = journal, models.head_classes, camera, clock
+        ground, notes = _ground(job, opened, people, journal)
+        frames_observed = journal, models.head_classes, ground, clock
         drawn = identified or render is not None
         observed = to_tracks(*frames_observed, causal=causal) if drawn else None
         if not identified:
-            alone = to_detections(*frames_observed, causal=causal)
+            table = to_detections(*frames_observed, causal=causal)
             if output is not None:
-                write_table(alone.columns, output)
-            columns, left_out, summary = alone.columns, alone.refused, counted(len(alone.number), "detection")
+                write_table(table.columns, output)
+            columns, left_out, summary = table.columns, table.refused, counted(len(table.number), "detection")
         if observed is not None and render is not None:
-            _render(frames, observed, journal, render, clock.rate, reports)
+            _render(frames, observed, journal, ground, render, clock.rate, reports)
         if observed is not None and identified:
             tracks = observed.tracks
             if output is not None:
@@ -332,28 +387,61 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     report_skipped(refused, reports)
     for reason, times in left_out.items():
         reports.emit(f"  refused {times}: {reason}")
-    report_camera(camera, reports)
+    report_camera(ground, reports)
+    for note in notes:
+        reports.emit(f"  note: {note}")
     reports.emit(f"observed {summary}; {in_time(count, seconds)}")
     report_written((output, render), reports)
     rows = len(columns["track_id"])
     beyond = sum(left_out.values())
-    return Observations(columns, ReadSummary("video", rows + beyond, left_out, tuple(refused)))
+    return Observations(columns, ReadSummary("video", rows + beyond, left_out, (*refused, *notes)))
+
+
+def _ground(
+    job: ObserveJob, opened: _Opened, people: list[PersonBox], observed: Mapping[int, FrameObservation]
+) -> tuple[Ground | None, list[str]]:
+    """Return the ground as the camera sees it, still or moving, and notes; None: no camera is known."""
+    from graphtrack.geometry.poses import PosePath
+    from perception.ground.camera_motion import image_motions
+    from perception.ground.views import DECLARED, carried_views, followed_views
+    from perception.observation.tables import scaled_camera
+
+    frames, camera, motion, moving = opened.frames, job.camera.on_ground(), job.motion, opened.moving
+    if isinstance(moving, PosePath):
+        assert camera is not None
+        numbers = [number for number, known in observed.items() if known.people]
+        views = carried_views(camera, moving, numbers, job.camera.clock(frames), motion.video_start or 0.0)
+        return views, [] if moving.is_exact else [DECLARED]
+    if not motion.follow_camera:
+        return camera if moving is None else moving, []
+    reference = scaled_camera(observed, causal=job.causal) if camera is None else camera
+    with frames.reported(
+        lambda number: True, frames.count, job.reports.progress, unit="frames followed", one_size=True
+    ) as decoded:
+        refuse = opened.refused.setdefault
+        motions = image_motions(decoded, people, camera, refuse, motion.reference_frame)
+    scaled = ["no camera is known: positions are pixels of the reference frame times a scale"]
+    return followed_views(reference, motions), [DECLARED, *(scaled if camera is None else [])]
 
 
 def _stream(
     frames: FrameSource,
     boxes: list[PersonBox] | None,
+    camera: GroundCamera | None,
     observer: LiveObserver,
     refused: dict[str, None],
     networks: OwnNetworks,
 ) -> None:
-    """Write the rows of each frame as soon as it is observed; report skipped input at the end."""
+    """Write the rows of each frame as soon as it is observed; report skipped input at the end.
+
+    ``camera``: as `ObserveJob.searched_camera`
+    """
     from graphtrack.streaming.session import give
     from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
     from perception.detection.hog import PeopleDetector
     from perception.detection.rescoring import PersonProbability
 
-    given, camera = boxes_by_frame(boxes or ()), observer.camera
+    given = boxes_by_frame(boxes or ())
     detector: YoloNetwork | PeopleDetector | None = networks.detector
     if boxes is None and camera is None:
         detector = detector or PeopleDetector()
@@ -385,28 +473,32 @@ def _stream(
         for row in observer.rows(frame.image, frame.number, people, refused.setdefault):
             give(row)
     report_skipped(refused)
-    report_camera(observer.camera, PRINTED)
+    report_camera(observer.ground, PRINTED)
 
 
 def _render(
     frames: FrameSource,
     observed: ObservedTracks,
     frames_observed: Mapping[int, FrameObservation],
+    ground: Ground | None,
     path: Path,
     fps: float,
     reports: Reports,
 ) -> None:
     """Decode the frames again, now that all tracks are known, and draw the observations."""
     from perception.drawing.people import draw_people, people_by_frame
+    from perception.ground.views import view_in
     from perception.images.pixels import pictures
 
-    people, camera = people_by_frame(observed, frames_observed), observed.tracks.camera
-    assert camera is not None
+    people, ground = people_by_frame(observed, frames_observed), ground or observed.tracks.camera
+    assert ground is not None
+    view = next(one for number in people if (one := view_in(ground, number)) is not None)
     every = frames.reported(lambda number: True, frames.count, reports.progress, unit="frames drawn")
     with pictures(path, fps) as write_picture, every as decoded:
         for frame in decoded:
             if frame.image is not None:
+                view = view_in(ground, frame.number) or view  # without a view nobody is drawn
                 of_frame = people.get(frame.number, ())
                 write_picture(
-                    frame.number, draw_people(frame.image, f"frame {frame.number}", of_frame, camera)
+                    frame.number, draw_people(frame.image, f"frame {frame.number}", of_frame, view.camera)
                 )

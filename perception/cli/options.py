@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -101,6 +101,77 @@ class CameraOptions:
         return GroundCamera.from_homography(read_homography(self.homography))
 
 
+@dataclass(frozen=True)
+class MotionOptions:
+    """Options of a camera that moves.
+
+    A camera that moves
+    -------------------
+    homographies : File with a homography of each frame, image → ground in metres: lines with the frame and
+        nine numbers, or with the nine alone, of all frames in order.
+    poses : File with the poses of the vehicle or robot that carries the camera, as of graphtrack smooth; the
+        camera's --calibration or --homography is then in its frame (x forward, y left).
+    pose_axes : Axes of poses in space: robot, x forward and z up; camera, z forward and y down. By default
+        camera for KITTI odometry, else robot.
+    video_start : Time of the poses at t = 0 of the video, seconds (since 1970, if the poses' times count from
+        there); by default 0.
+    follow_camera : Follow pan, tilt, zoom and hand-held motion by features of the background; --calibration
+        or --homography is the view in the reference frame.
+    reference_frame : Number of that frame; by default the first.
+    """
+
+    homographies: options.InputFile | None = None
+    poses: Annotated[Path | None, typer.Option(metavar="FILE", exists=True)] = None
+    pose_axes: Literal["robot", "camera"] | None = None
+    video_start: Annotated[float | None, typer.Option(metavar="SECONDS")] = None
+    follow_camera: bool = False
+    reference_frame: Annotated[int | None, typer.Option(min=0)] = None
+
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """Return the files to read, by option name."""
+        return {"--homographies": self.homographies, "--poses": self.poses}
+
+    @property
+    def moves(self) -> bool:
+        """Return whether the camera moves."""
+        return self.homographies is not None or self.poses is not None or self.follow_camera
+
+    @property
+    def view_is_constant(self) -> bool:
+        """Return whether the camera's view of the ground around it is constant."""
+        return self.homographies is None and not self.follow_camera
+
+    def check(self, camera: CameraOptions, *, streamed: bool, adapt: bool) -> None:
+        """Refuse options that exclude each other."""
+        given = [
+            name
+            for name, value in (*self.files.items(), ("--follow-camera", self.follow_camera or None))
+            if value is not None
+        ]
+        if len(given) > 1:
+            raise InputError(" and ".join(given), "one of them")
+        views = [name for name, path in camera.files.items() if path is not None]
+        if self.homographies is not None and views:
+            raise InputError(f"{views[0]} with --homographies", "one of them")
+        if self.poses is not None and not views:
+            expected = "--calibration or --homography too: the camera's view in the frame of the poses"
+            raise InputError("--poses without a camera", expected)
+        of_poses = {"--pose-axes": self.pose_axes, "--video-start": self.video_start}
+        for name, value in of_poses.items():
+            if value is not None and self.poses is None:
+                raise InputError(f"{name} without --poses", "both, or neither")
+        if self.reference_frame is not None and not self.follow_camera:
+            raise InputError("--reference-frame without --follow-camera", "both, or neither")
+        if streamed and self.poses is not None:
+            expected = "a file as the output, or rows with poses in the stream of graphtrack track -"
+            raise InputError("--poses with -o -", expected)
+        if streamed and self.reference_frame is not None:
+            raise InputError("--reference-frame with -o -", "a file as the output")
+        if adapt and self.moves:
+            raise InputError(f"--adapt with {given[0]}", "one of them: models are fitted to a still camera")
+
+
 def read_given_boxes(
     boxes: Path | None,
     frames: FrameSource,
@@ -187,9 +258,9 @@ def report_skipped(reasons: Iterable[str], reports: Reports = PRINTED) -> None:
         reports.emit(f"  {line}")
 
 
-def report_camera(camera: GroundCamera | None, reports: Reports) -> None:
+def report_camera(ground: object | None, reports: Reports) -> None:
     """Emit a note on the unit of positions if no camera is known."""
-    if camera is None:
+    if ground is None:
         reports.emit("  note: no camera is known: positions are pixels times a scale")
 
 

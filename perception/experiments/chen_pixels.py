@@ -58,8 +58,8 @@ from perception.observation.pipeline import (
     by_frame,
     channels_of,
     head_in_image,
-    is_on_ground,
     observe_frame,
+    why_nowhere,
 )
 from perception.observation.tables import to_tracks
 from perception.pose.classes import PoseClasses, image_likelihood
@@ -187,7 +187,7 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
         of_track = sorted(
             (item for item in people_observed if item.track_id == key), key=lambda item: item.frame
         )
-        items = [item for item in of_track if is_on_ground(item, clip.camera)]
+        items = [item for item in of_track if not why_nowhere(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,

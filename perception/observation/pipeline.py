@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import BEYOND_HORIZON
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
 from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in, upright_picture
+from perception.ground.views import Ground, MovingCamera, View, view_in
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
 from perception.observation.journal import FrameJournal
@@ -113,6 +115,7 @@ def _head_in_crop(box: tuple[float, float, float, float], points: FloatArray) ->
 
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
+_LIKELIHOODS = "body_likelihood", "head_likelihood"
 
 
 @dataclass(frozen=True)
@@ -283,16 +286,20 @@ def observe(
     return count
 
 
-def is_on_ground(item: PersonObservation, camera: GroundCamera) -> bool:
-    """Return whether the feet are on this side of the horizon."""
-    return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
+def why_nowhere(item: PersonObservation, ground: Ground) -> str:
+    """Return why a person has no position; empty for feet on this side of the horizon in a known view."""
+    view = view_in(ground, item.frame)
+    if view is None:
+        assert isinstance(ground, MovingCamera)
+        return ground.missing
+    return "" if np.isfinite(view.camera.image_to_ground(item.foot)).all() else BEYOND_HORIZON
 
 
 def channels_of(
     items: Sequence[PersonObservation],
     heads: NDArray[np.int64],
     head_classes: PoseClasses,
-    camera: GroundCamera,
+    ground: Ground,
     clock: float | Clock,
     *,
     in_image: bool = False,
@@ -300,25 +307,35 @@ def channels_of(
 ) -> dict[str, Any]:
     """Return the fields of a `Track` with a row for each item, and class likelihoods in the world frame.
 
+    Pixels of a moving camera are left out: they have no fixed place in the world.
+
     Parameters
     ----------
-    items : one person in n frames, on this side of the horizon
+    items : n people, for whom `why_nowhere` is empty
     heads : (n,) index of the candidate that is the head
-    head_classes, camera, clock : as of `perception.observation.tables.to_tracks`
+    head_classes, ground, clock : as of `perception.observation.tables.to_tracks`
     in_image : whether the likelihoods stay in the image frame, for filters that evaluate them there (Chen
         et al. 2011, eq. 13–14)
     projection : of appearance; None: tracks have none
     """
     pixel = np.array([item.foot for item in items])
-    position = camera.image_to_ground(pixel)
     frame = np.array([item.frame for item in items])
     head = np.array([item.pan[k] for item, k in zip(items, heads.tolist(), strict=True)])
     body = np.array([item.body for item in items])
     channels = [(body, _BODY, _BODY), (head, head_classes.pans, _HEAD)]
-    if in_image:
-        of_body, of_head = (image_likelihood(*channel) for channel in channels)
-    else:
-        of_body, of_head = (world_likelihood(*channel, camera, position) for channel in channels)
+    placed: dict[str, FloatArray] = {}
+    for rows, view in _views(frame, ground):
+        position = view.camera.image_to_ground(pixel[rows])
+        of_view = {"position": position, "position_covariance": view.position_covariance(position)}
+        for name, (likelihood, classes, wanted) in zip(_LIKELIHOODS, channels, strict=True):
+            of_view[name] = (
+                image_likelihood(likelihood[rows], classes, wanted)
+                if in_image
+                else world_likelihood(likelihood[rows], classes, wanted, view.camera, position)
+            )
+        for name, values in of_view.items():
+            if values is not None:
+                placed.setdefault(name, np.empty((len(items), *values.shape[1:])))[rows] = values
     inputs = {}
     if projection is not None and all(item.appearance is not None for item in items):
         inputs[APPEARANCE] = projection(np.array([item.appearance for item in items], np.uint8))
@@ -326,13 +343,20 @@ def channels_of(
     return {
         "frame": frame,
         "t": seconds(frame, clock),
-        "position": position,
-        "pixel": pixel,
-        "body_likelihood": of_body,
-        "head_likelihood": of_head,
+        **placed,
+        **({"pixel": pixel} if isinstance(ground, GroundCamera) else {}),
         "score": scores if np.isfinite(scores).any() else None,
         "inputs": inputs,
     }
+
+
+def _views(frame: NDArray[np.int64], ground: Ground) -> Iterator[tuple[NDArray[np.int64], View]]:
+    """Yield the rows of a frame, for each of the frames (n,), with its view; all rows for a still camera."""
+    if isinstance(ground, GroundCamera):
+        yield np.arange(len(frame)), View(ground)
+        return
+    for number in np.unique(frame).tolist():
+        yield np.flatnonzero(frame == number), ground.views[number]
 
 
 def in_heights(item: PersonObservation) -> HeadCandidates:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,19 +17,20 @@ from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
-from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
+from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.model import Model
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
+from perception.ground.views import Ground
 from perception.images.frames import Clock
 from perception.observation.pipeline import (
     FrameObservation,
     PersonObservation,
     channels_of,
     in_heights,
-    is_on_ground,
+    why_nowhere,
 )
 from perception.pose.classes import PoseClasses
 from perception.pose.features import LENGTH, Projection
@@ -83,9 +85,9 @@ class DetectionTable:
 
 
 def scene_of(
-    frames: Mapping[int, FrameObservation], camera: GroundCamera | None, *, causal: bool
-) -> tuple[GroundCamera, Projection]:
-    """Return the camera, or a scale from people's height, and the projection of appearance.
+    frames: Mapping[int, FrameObservation], ground: Ground | None, *, causal: bool
+) -> tuple[Ground, Projection]:
+    """Return the ground, or a scale from people's height, and the projection of appearance.
 
     Raises
     ------
@@ -94,14 +96,14 @@ def scene_of(
     """
     if not any(known.people for known in frames.values()):
         raise InputError("a video without people", "at least one person")
-    camera = scaled_camera(frames, causal=causal) if camera is None else camera
-    return camera, Projection.fixed() if causal else projection_of(frames)
+    ground = scaled_camera(frames, causal=causal) if ground is None else ground
+    return ground, Projection.fixed() if causal else projection_of(frames)
 
 
 def to_detections(
     frames: Mapping[int, FrameObservation],
     head_classes: PoseClasses,
-    camera: GroundCamera | None,
+    ground: Ground | None,
     clock: float | Clock,
     *,
     causal: bool = False,
@@ -111,35 +113,35 @@ def to_detections(
     Parameters
     ----------
     frames : observations by frame number; they are iterated two or three times
-    head_classes, camera, clock, causal : as in `perception.observation.tables.to_tracks`
+    head_classes, ground, clock, causal : as in `perception.observation.tables.to_tracks`
 
     Raises
     ------
     InputError
         If there are no observations, or all are beyond the horizon.
     """
-    camera, projection = scene_of(frames, camera, causal=causal)
-    count = sum(len(known.people) for known in frames.values())
-    number, known = _channels(
-        frames, lambda item: HeadPath().update(in_heights(item)), head_classes, camera, clock, projection
+    ground, projection = scene_of(frames, ground, causal=causal)
+    number, known, refused = _channels(
+        frames, lambda item: HeadPath().update(in_heights(item)), head_classes, ground, clock, projection
     )
     at = {name: known[name] for name in ("frame", "t")}
     place, score = np.arange(len(number)), known["score"]
     track = _track(0, known | {"frame": place, "t": place.astype(float), "score": score})
     columns = to_columns(TrackSet((track,))) | at | {"track_id": np.full(len(number), -1, np.int64)}
-    beyond = count - len(number)
-    return DetectionTable(columns, number, {BEYOND_HORIZON: beyond} if beyond else {})
+    return DetectionTable(columns, number, refused)
 
 
 def _channels(
     frames: Mapping[int, FrameObservation],
     head_of: Callable[[PersonObservation], int],
     head_classes: PoseClasses,
-    camera: GroundCamera,
+    ground: Ground,
     clock: float | Clock,
     projection: Projection,
-) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Return numbers (n,) of all people within the horizon, frame by frame, and the fields of their rows.
+) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]], dict[str, int]]:
+    """Return numbers (n,) of all people with a position, frame by frame, and the fields of their rows.
+
+    The last item is the number of other people, by reason.
 
     Parameters
     ----------
@@ -147,21 +149,24 @@ def _channels(
     """
     numbers: list[int] = []
     parts: list[dict[str, Any]] = []
-    for items in _some_at_once(frames):
-        items = [item for item in items if is_on_ground(item, camera)]
+    refused: Counter[str] = Counter()
+    for everybody in _some_at_once(frames):
+        why = [why_nowhere(item, ground) for item in everybody]
+        refused.update(reason for reason in why if reason)
+        items = [item for item, reason in zip(everybody, why, strict=True) if not reason]
         if items:
             heads = np.array([head_of(item) for item in items], np.int64)
-            known = channels_of(items, heads, head_classes, camera, clock, projection=projection)
+            known = channels_of(items, heads, head_classes, ground, clock, projection=projection)
             known |= known.pop("inputs")
             known["score"] = np.array([item.score for item in items], float)  # NaN where not known
             parts.append(known)
             numbers += [item.track_id for item in items]
     if not parts:
-        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+        found = f"people {' or '.join(refused)} only"
+        raise InputError(found, "a homography that fits the pictures, of frames with people")
     names = set.intersection(*(set(part) for part in parts))
-    return np.array(numbers, np.int64), {
-        name: np.concatenate([part.pop(name) for part in parts]) for name in names
-    }
+    channels = {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
+    return np.array(numbers, np.int64), channels, dict(refused)
 
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
@@ -184,12 +189,20 @@ def _some_at_once(frames: Mapping[int, FrameObservation]) -> Iterator[list[Perso
 
 
 def scaled_camera(frames: Mapping[int, FrameObservation], *, causal: bool) -> GroundCamera:
-    """Return a scale at which the median box (of the first frame if ``causal``) has a person's height."""
+    """Return a scale at which the median box (of the first frame if ``causal``) has a person's height.
+
+    Raises
+    ------
+    InputError
+        If there are no observations.
+    """
     heights: list[float] = []
     for number in sorted(frames):
         heights += [item.height for item in frames[number].people]
         if causal and heights:
             break
+    if not heights:
+        raise InputError("a video without people", "at least one person")
     return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
 
 
@@ -242,20 +255,21 @@ class ObservedTracks:
 def to_tracks(
     frames: Mapping[int, FrameObservation],
     head_classes: PoseClasses,
-    camera: GroundCamera | None,
+    ground: Ground | None,
     clock: float | Clock,
     *,
     causal: bool = False,
 ) -> ObservedTracks:
     """Return tracks with positions in metres and class likelihoods in the world frame.
 
-    People at or beyond the camera's horizon are refused, and counted in the summary.
+    People at or beyond the camera's horizon, and those in frames whose view is not known, are refused and
+    counted in the summary.
 
     Parameters
     ----------
     frames : observations by number, each person once a frame; they are read three or four times
     head_classes : pan classes of ``PersonObservation.pan``
-    camera : the ground plane; None: a scale at which the median box has a person's height
+    ground : a camera that is still or moves; None: a scale at which the median box has a person's height
     clock : times of the frames, or frames a second
     causal : whether rows depend on past frames only: heads by `select_so_far`, the scale of the first frame
         and a fixed projection of appearance. Else heads are chosen offline along each track, and the
@@ -266,25 +280,24 @@ def to_tracks(
     InputError
         If there are no observations, or all are beyond the horizon.
     """
-    camera, projection = scene_of(frames, camera, causal=causal)
+    ground, projection = scene_of(frames, ground, causal=causal)
     candidates: dict[int, _Heads] = {}
     count = sum(len(known.people) for known in frames.values())
     for items in _some_at_once(frames):
         for item in items:
-            if is_on_ground(item, camera):
+            if not why_nowhere(item, ground):
                 candidates.setdefault(item.track_id, _Heads()).add(in_heights(item))
     heads = {track_id: candidates.pop(track_id).chosen(causal=causal) for track_id in sorted(candidates)}
     chosen = {track_id: iter(of_track.tolist()) for track_id, of_track in heads.items()}
-    number, known = _channels(
-        frames, lambda item: next(chosen[item.track_id]), head_classes, camera, clock, projection
+    number, known, refused = _channels(
+        frames, lambda item: next(chosen[item.track_id]), head_classes, ground, clock, projection
     )
     rows = [np.flatnonzero(number == track_id) for track_id in heads]
     tracks = tuple(
         _track(track_id, {name: values[of_track] for name, values in known.items()})
         for track_id, of_track in zip(heads, rows, strict=True)
     )
-    beyond = count - len(number)
-    refused = {BEYOND_HORIZON: beyond} if beyond else {}
+    camera = ground if isinstance(ground, GroundCamera) else None
     return ObservedTracks(TrackSet(tracks, camera, ReadSummary("video", count, refused)), heads)
 
 
