@@ -13,8 +13,8 @@ from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
+    from graphtrack.interaction.group_files import GroupLabels
     from graphtrack.interaction.scores import GroupScore
-    from graphtrack.io.groups import GroupLabels
     from graphtrack.tracks.track import TrackSet
 
 
@@ -93,7 +93,7 @@ def check_csv(output: Path) -> None:
 
 def read_quietly(path: Path) -> GroupLabels:
     """Read labelled groups; warnings become notes."""
-    from graphtrack.io.groups import read_groups
+    from graphtrack.interaction.group_files import read_groups
 
     with input_warnings_as_notes():
         return read_groups(path)

@@ -74,8 +74,8 @@ def compare_groups(
     """Read tracks and labelled groups, find groups with each method, and print their scores."""
     from graphtrack.evaluation.groups import compare_groups as compare
     from graphtrack.evaluation.groups import registry
+    from graphtrack.interaction.group_files import read_groups
     from graphtrack.interaction.parameters import GroupParameters
-    from graphtrack.io.groups import read_groups
 
     options.check_outputs(
         {"--json": json_path}, {**reading.inputs(inputs), "--groups": labels, "--parameters": parameters}

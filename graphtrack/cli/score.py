@@ -139,7 +139,7 @@ def score(
     """
     from graphtrack.evaluation.identities import judge, threshold_of
     from graphtrack.evaluation.state_score import summary
-    from graphtrack.io.groups import is_group_table
+    from graphtrack.interaction.group_files import is_group_table
     from graphtrack.io.read_write import paired_files
 
     unused: dict[str, object] = {"--metres": metres, "--iou": iou, "--report": report}

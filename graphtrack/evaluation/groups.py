@@ -12,11 +12,11 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.methods import Method, compared, made
+from graphtrack.interaction.group_files import GroupLabels
 from graphtrack.interaction.groups import groups
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, people_of
 from graphtrack.interaction.scores import GroupScore, score_groups
-from graphtrack.io.groups import GroupLabels
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given

@@ -22,11 +22,11 @@ from graphtrack.experiments.harness import (
     Table,
 )
 from graphtrack.geometry.angles import FloatArray, direction, wrap
+from graphtrack.interaction.group_files import UNLABELLED, read_groups
 from graphtrack.interaction.groups import Groups, groups
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
-from graphtrack.io.groups import UNLABELLED, read_groups
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import CrossedArea, crowd
 from graphtrack.simulation.degrade import add_noise

@@ -12,8 +12,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.interaction.attention import Attention
+from graphtrack.interaction.group_files import UNLABELLED, IntArray
 from graphtrack.interaction.tables import LookLabels
-from graphtrack.io.groups import UNLABELLED, IntArray
 
 Group = frozenset[int]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.interaction.attention import Attention
+from graphtrack.interaction.group_files import UNLABELLED
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.io.formats.native import open_table
-from graphtrack.io.groups import UNLABELLED
 from graphtrack.io.limits import MemoryLimit
 from graphtrack.tracks.cells import Cells, integers, numbers
 from graphtrack.tracks.validation import LARGEST_ID, parse_number

@@ -19,12 +19,12 @@ from graphtrack.interaction.evidence import (
     pair_evidence,
     walks,
 )
+from graphtrack.interaction.group_files import UNLABELLED, GroupLabels
 from graphtrack.interaction.groups import groups, groups_of_present
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import IntArray, People, people_of, with_absent
 from graphtrack.interaction.scores import LEAST, GroupScore, LookScore, score_gaze, score_groups, true_shares
 from graphtrack.interaction.tables import LookLabels
-from graphtrack.io.groups import UNLABELLED, GroupLabels
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import with_clipped

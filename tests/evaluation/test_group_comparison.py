@@ -13,9 +13,9 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.groups import average_linkage, compare_groups, registry
 from graphtrack.evaluation.methods import Method
 from graphtrack.geometry.angles import direction, unit
+from graphtrack.interaction.group_files import read_groups
 from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import score_groups
-from graphtrack.io.groups import read_groups
 from graphtrack.io.read_write import write_table
 from graphtrack.simulation.scenario import Party, party
 

@@ -18,9 +18,9 @@ from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import direction, mean_absolute_error, unit, wrap
 from graphtrack.interaction.coupled import CONVERSATIONS, LEAST, Conversations, counts, lasting, neighbours
 from graphtrack.interaction.evidence import pair_evidence
+from graphtrack.interaction.group_files import read_groups
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import people_of
-from graphtrack.io.groups import read_groups
 from graphtrack.model import Model, Observation
 from graphtrack.model.model import default_parameters
 from graphtrack.simulation.scenario import Party, party

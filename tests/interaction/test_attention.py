@@ -14,8 +14,8 @@ import graphtrack as gt
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import class_centres, direction, wrap
 from graphtrack.interaction.attention import Attention, attention, attention_columns, summary_of
+from graphtrack.interaction.group_files import GroupLabels, read_groups
 from graphtrack.interaction.people import Place, read_places
-from graphtrack.io.groups import GroupLabels, read_groups
 from graphtrack.simulation.scenario import party
 from graphtrack.tracks.track import Track, TrackSet
 

@@ -9,9 +9,9 @@ import pytest
 import graphtrack as gt
 from graphtrack.geometry.angles import difference, mean_absolute_error, unit
 from graphtrack.interaction.evidence import facing, pair_evidence
+from graphtrack.interaction.group_files import GroupLabels, GroupStep
 from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.interaction.people import People, people_of
-from graphtrack.io.groups import GroupLabels, GroupStep
 from graphtrack.learning.interaction import fit_groups, independent_frames
 from graphtrack.simulation.scenario import Party
 from graphtrack.simulation.scenario import party as simulated

@@ -12,11 +12,11 @@ import graphtrack as gt
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import direction, mean_resultant_length, unit, wrap
 from graphtrack.interaction.evidence import o_spaces, observed_scores
+from graphtrack.interaction.group_files import read_groups
 from graphtrack.interaction.groups import partition
 from graphtrack.interaction.parameters import DEFAULT, GroupParameters
 from graphtrack.interaction.people import people_of
 from graphtrack.interaction.scores import matches, score_groups
-from graphtrack.io.groups import read_groups
 from graphtrack.tracks.track import Track, TrackSet
 
 

@@ -16,9 +16,9 @@ from refusals import refused
 import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputError, InputWarning
+from graphtrack.interaction.group_files import read_groups
 from graphtrack.interaction.people import read_places
 from graphtrack.interaction.tables import read_gaze
-from graphtrack.io.groups import read_groups
 from graphtrack.tracks.validation import LARGEST_ID
 
 DELIMITED = tuple(sample for sample in TEXT_SAMPLES if sample.format != "caviar")

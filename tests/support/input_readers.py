@@ -15,12 +15,12 @@ from graphtrack.forecasting.motion import ForecastParameters
 from graphtrack.forecasting.recorded import is_forecast, read_forecasts
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.interaction.attention import AttentionParameters
+from graphtrack.interaction.group_files import read_groups
 from graphtrack.interaction.parameters import GroupParameters
 from graphtrack.interaction.people import read_places
 from graphtrack.interaction.tables import read_attention, read_gaze, read_group_table
 from graphtrack.io.cameras import read_calibration, read_homography
 from graphtrack.io.formats.ndjson import parse_line, plain_cells, read_cells
-from graphtrack.io.groups import read_groups
 from graphtrack.io.suggestion import suggest
 from graphtrack.model import Model
 from graphtrack.streaming.protocol import StreamNames, UnknownKeys, error_row, text_of
