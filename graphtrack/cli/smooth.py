@@ -259,7 +259,14 @@ def smooth(
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
         sections = constants_section(learned)
-        write_html(report, tracking_report(estimates, tracks, title="Smoothed tracks", sections=sections))
+        page = tracking_report(
+            estimates,
+            tracks,
+            title="Smoothed tracks",
+            sections=sections,
+            sensors=reading.options().sensor_scene,
+        )
+        write_html(report, page)
         emit(f"report: {report}")
     if good:
         emit(f"wrote {output}")
