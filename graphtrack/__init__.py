@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
     from graphtrack.io.sensors import SensorScene
+    from graphtrack.learning.sensors import learn_sensors
     from graphtrack.model import Cost, Model, Observation, Parameters, Term, chord, presets, term
     from graphtrack.report.page import write_report
     from graphtrack.simulation.degrade import add_noise

@@ -84,7 +84,8 @@ def test_scans_outside_of_a_field_of_view_are_no_misses() -> None:
     link_by(chains, rows.channels["input_true"].astype(int)[detections.row])
     frames, missed = gaps_of(chains, np.zeros(len(table), np.int64))
     assert missed.mean() < 0.2 < 0.4 < frames.mean()
-    scene = scene_of(SceneParameters(), detections.step_seconds)
+    views = Views.of(detections.position, detections.sensor, 2)
+    scene = scene_of(SceneParameters(), detections.step_seconds)._replace(views=views.heights)
     linked = np.flatnonzero(chains.preceding >= 0)
     across = linked[chains.sensor[linked] != chains.sensor[chains.preceding[linked]]]
     assert len(across)
