@@ -84,15 +84,18 @@ def test_scans_outside_of_a_field_of_view_are_no_misses() -> None:
     link_by(chains, rows.channels["input_true"].astype(int)[detections.row])
     frames, missed = gaps_of(chains, np.zeros(len(table), np.int64))
     assert missed.mean() < 0.2 < 0.4 < frames.mean()
+    linked = np.flatnonzero(chains.preceding >= 0)
+    across = chains.sensor[linked] != chains.sensor[chains.preceding[linked]]
+    # On the way between the views there are many scans, and few misses.
+    assert frames[across].min() > 20 and (missed[across] < 0.5 * frames[across]).all()
     views = Views.of(detections.position, detections.sensor, 2)
     scene = scene_of(SceneParameters(), detections.step_seconds)._replace(views=views.heights)
-    linked = np.flatnonzero(chains.preceding >= 0)
-    across = linked[chains.sensor[linked] != chains.sensor[chains.preceding[linked]]]
-    assert len(across)
-    for m in across.tolist():
-        k = int(chains.preceding[m])
-        gap = int(chains.frame[m] - chains.frame[k] - 1)
-        assert log_between(chains, k, m, scene) > 0.5 * log_gap(gap, scene)
+    for place in np.flatnonzero(across).tolist():
+        m = int(linked[place])
+        gap = int(frames[place])
+        found = log_between(chains, int(chains.preceding[m]), m, scene)
+        assert found == pytest.approx(log_misses(missed[place], gap, scene))
+        assert found > log_gap(gap, scene)
     assert log_misses(0.0, 50, scene) == 0.0
 
 
