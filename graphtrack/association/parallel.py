@@ -104,6 +104,6 @@ def _candidates(chains: Chains, tracks: dict[int, IntArray]) -> list[tuple[int, 
 
 
 def _distance(at: FloatArray, position: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
-    """Return the distance of positions (n, 2) at some times from a way between its rows."""
+    """Return the RMS of x and y of the way from positions (n, 2) at some times to a path between its rows."""
     places = np.column_stack([np.interp(at, t, axis) for axis in way.T])
     return np.asarray(np.hypot(*(position - places).T) / math.sqrt(2.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +111,7 @@ class Views:
         return cls(np.zeros((0, len(COMPASS))))
 
     def with_sensor(self) -> Views:
-        """Return these with a further sensor, which has views nothing."""
+        """Return these with a further sensor, which has detected nothing."""
         return Views(np.vstack([self.heights, np.full((1, len(COMPASS)), -np.inf)]))
 
     def reaching(self, position: FloatArray, sensor: IntArray) -> Views:
@@ -157,4 +157,4 @@ def with_views(detections: Detections, views: Views) -> Detections:
     """Return detections with the fields of view at their places; their own sensor sees them."""
     shares = views.at(detections.position)
     shares[np.arange(len(shares)), detections.sensor] = 1.0
-    return detections.with_views(shares)
+    return replace(detections, views=shares)

@@ -47,6 +47,13 @@ def unit(angle: ArrayLike) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def rotated(vectors: FloatArray, angle: ArrayLike) -> FloatArray:
+    """Return vectors (..., 2) turned by one angle in radians, or by one each (...)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
 def mean_absolute_error(estimate: ArrayLike, truth: ArrayLike) -> float:
     """Mean angular error |wrap(estimate − truth)|, radians, over the finite pairs; NaN if there is none."""
     error = np.abs(difference(estimate, truth))
@@ -141,6 +148,21 @@ def likelihood_at(likelihood: FloatArray, angle: FloatArray, first: float = 0.0)
     one, next_one = (np.take_along_axis(likelihood, (lower + k) % count, axis=1) for k in (0, 1))
     found = (1.0 - (place - lower)) * one + (place - lower) * next_one
     return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+
+
+def rotated_classes(likelihood: FloatArray, angle: ArrayLike) -> FloatArray:
+    """Return likelihoods of classes (n, k) turned by one angle in radians, or by one each (n,).
+
+    They are interpolated between neighbouring classes; sums are kept, and turns by whole classes are exact.
+    """
+    count = likelihood.shape[1]
+    place = np.broadcast_to(np.asarray(angle, float) * count / (2.0 * np.pi), len(likelihood))
+    whole = np.abs(place - np.rint(place)) < 1e-9
+    lower = np.where(whole, np.rint(place), np.floor(place))
+    share = np.where(whole, 0.0, place - lower)[:, None]
+    source = np.arange(count) - lower[:, None].astype(np.int64)
+    one, next_one = (np.take_along_axis(likelihood, (source - k) % count, axis=1) for k in (0, 1))
+    return np.asarray((1.0 - share) * one + share * next_one)
 
 
 def class_kappa(n_classes: int) -> float:

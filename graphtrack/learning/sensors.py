@@ -20,7 +20,7 @@ from graphtrack.association.associate import rows_of, with_identities, with_repa
 from graphtrack.constants.filters import REHEARSAL
 from graphtrack.constants.personal import parameters_of, solve_learned
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, rotated
 from graphtrack.inference.engines import Solution, engine_of, make_solver_ready
 from graphtrack.inference.offline import solve_each
 from graphtrack.io.options import FileReading
@@ -41,7 +41,6 @@ from graphtrack.tracks.sensor_errors import (
     X,
     Y,
     errors_of,
-    turned,
     with_errors,
 )
 from graphtrack.tracks.sensors import Sensor, Sensors, corrected
@@ -364,7 +363,7 @@ class _Problem:
         found = np.zeros((len(rows), len(ERRORS)))
         force = _force(rows.channels["position"] - states[:, :2], tracks, self.people.model)
         place = states[:, :2] - shift - pivot
-        found[:, [X, Y]] = -turned(force, rotation)
+        found[:, [X, Y]] = -rotated(force, rotation)
         found[:, ROTATION] = force[:, 0] * place[:, 1] - force[:, 1] * place[:, 0]
         found[:, CLOCK] = (self._velocity * force).sum(axis=1)
         found[:, BIAS] = _torque(states[:, 4:], tracks, self.people.model)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.association.likelihood import COMPASS
 from graphtrack.association.sensors import Views
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.content import DataTable, Section
@@ -102,10 +103,9 @@ def outline_of(sensor: Sensor, observed: FloatArray) -> FloatArray | None:
 def _learned_outline(position: FloatArray) -> FloatArray | None:
     """Return the outline (k, 2) of the field of view that association learns from positions (n, 2)."""
     (heights,) = Views.of(position, np.zeros(len(position), dtype=np.int64), 1).heights
-    compass = unit(math.tau / len(heights) * np.arange(len(heights)))
     low, high = position.min(axis=0) - 1.0, position.max(axis=0) + 1.0
     outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    for direction, height in zip(compass, heights, strict=True):
+    for direction, height in zip(COMPASS, heights, strict=True):
         outline = _cut(outline, outline @ direction - height)
         if len(outline) < 3:
             return None

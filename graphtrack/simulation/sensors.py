@@ -37,7 +37,7 @@ _MOST_SCANS = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class SimulatedRows:
     """Rows of simulated sensors.
 
     Attributes
@@ -114,7 +114,7 @@ def observe(
     identities: Identities = "true",
     folder: str | Path = ".",
     rng: np.random.Generator,
-) -> Observed:
+) -> SimulatedRows:
     """Simulate what described sensors observe of people with known truth.
 
     Each sensor scans at its own rate. It misses people outside of its field of view, people hidden by others
@@ -169,7 +169,7 @@ def observe(
         del columns["track_id"]
     order = np.argsort(columns["t"], kind="stable")
     ordered = {name: columns[name][order] for name in (*in_order(columns), TRUE_ID)}
-    return Observed(ordered, _joined(poses) if poses else None, exact.map(as_truth))
+    return SimulatedRows(ordered, _joined(poses) if poses else None, exact.map(as_truth))
 
 
 def _joined(parts: Sequence[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

@@ -69,10 +69,6 @@ class Detections:
         of_sensors = self.sensor[rows], self.scans[rows], self.views[rows]
         return Detections(frame, t, position, channels, self.row[rows], *of_sensors)
 
-    def with_views(self, views: FloatArray) -> Detections:
-        """Return the detections with other probabilities of fields of view."""
-        return replace(self, views=views)
-
     @property
     def of_main_sensor(self) -> Detections:
         """Return the detections of the sensor that has most, with its own frames; all of one sensor alone."""

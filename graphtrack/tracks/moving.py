@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.geometry.angles import FloatArray, rotated_classes, wrap
 from graphtrack.geometry.poses import PosePath
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.given import position_noise
@@ -76,7 +76,7 @@ def channels_in_world(
                 found[f"{name}_kappa"] = _blurred(kappa, spread[:, 2, 2])
     for name in _CLASSES:
         if name in channels:
-            found[name] = _turned_classes(channels[name], yaw)
+            found[name] = rotated_classes(channels[name], yaw)
     if "observed_velocity" in channels:
         if arm is None or covariance is None:
             arm, covariance = np.full((len(t), 2), np.nan), np.full((len(t), 2, 2), np.nan)
@@ -215,15 +215,3 @@ def definite(covariance: FloatArray) -> FloatArray:
 def _blurred(kappa: FloatArray, variance: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         return np.minimum(1.0 / (1.0 / kappa + variance), LARGEST_CONCENTRATION)
-
-
-def _turned_classes(heights: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return class likelihoods (n, k) turned by angles (n,), interpolated between neighbouring classes."""
-    k = heights.shape[1]
-    by = yaw * k / (2.0 * np.pi)
-    steps = np.floor(by)
-    part = (by - steps)[:, None]
-    source = (np.arange(k) - steps[:, None].astype(np.int64)) % k
-    nearer = np.take_along_axis(heights, source, axis=1)
-    further = np.take_along_axis(heights, (source - 1) % k, axis=1)
-    return (1.0 - part) * nearer + part * further

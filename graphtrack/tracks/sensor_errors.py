@@ -39,10 +39,3 @@ def with_errors(sensor: Sensor, errors: FloatArray, std: FloatArray | None = Non
     names = ("rotation", "angle_bias", "clock_offset")
     known = {f"{name}_std": given[name] for name in names if not math.isnan(given[name])}
     return replace(found, shift_std=None if math.isnan(sum(of_shift)) else of_shift, **known)
-
-
-def turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return vectors (n, 2) turned by an angle each (n,)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = vectors.T
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)

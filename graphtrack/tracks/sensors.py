@@ -10,7 +10,7 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import BoolArray, FloatArray, direction, wrap
+from graphtrack.geometry.angles import BoolArray, FloatArray, direction, rotated, rotated_classes, wrap
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION, LARGEST_METRES, Bounds, is_number
 
@@ -338,7 +338,7 @@ def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> 
 
 def into_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
     """Return points (..., 2) of the world in the frames of poses (..., 3): x, y, yaw."""
-    return np.asarray(_turned(points - pose[..., :2], -pose[..., 2]))
+    return rotated(points - pose[..., :2], -pose[..., 2])
 
 
 def _inside(ring: FloatArray, points: FloatArray) -> BoolArray:
@@ -351,13 +351,6 @@ def _inside(ring: FloatArray, points: FloatArray) -> BoolArray:
         between = (ay <= y) != (by <= y)
         found ^= between & (x < ax + (y - ay) * ((bx - ax) / (by - ay)))
     return found
-
-
-def _turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Return vectors (n, 2) turned by an angle, or by one each (n,)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def corrected(rows: Rows, sensors: Sensors) -> Rows:
@@ -414,16 +407,16 @@ def _changed_channels(own: Mapping[str, FloatArray], sensor: Sensor, distort: bo
     if rotation or shift.any():
         pivot = np.array(sensor.pivot)
         before, after = (pivot, pivot + shift) if distort else (pivot + shift, pivot)
-        change(["position"], lambda values: after + _turned(values - before, rotation))
+        change(["position"], lambda values: after + rotated(values - before, rotation))
         change(["pixel"], lambda values: np.full_like(values, np.nan))
     if rotation:
-        change(["observed_velocity", "velocity"], lambda values: _turned(values, rotation))
+        change(["observed_velocity", "velocity"], lambda values: rotated(values, rotation))
         covariances = ["position_covariance", "observed_velocity_covariance"]
         change(covariances, lambda values: _turned_covariance(values, rotation))
         change(["covariance"], lambda values: _turned_deviations(values, rotation))
     if turn:
         change(["body", "head", "body_axis"], lambda values: wrap(values + turn))
-        change(["body_likelihood", "head_likelihood"], lambda values: _turned_classes(values, turn))
+        change(["body_likelihood", "head_likelihood"], lambda values: rotated_classes(values, turn))
     if sensor.clock_offset:
         offset = sign * sensor.clock_offset
         change(["t"], lambda values: values + offset)
@@ -448,7 +441,7 @@ _DECLARED = ("position_std", "position_covariance", "covariance")
 
 def _turned_covariance(covariance: FloatArray, angle: float) -> FloatArray:
     """Return covariances (n, 2, 2) of turned vectors."""
-    matrix = _turned(np.eye(2), -angle)  # its rows are the turned axes' coordinates
+    matrix = rotated(np.eye(2), -angle)  # its rows are the turned axes' coordinates
     found = np.einsum("ij,njk,lk->nil", matrix, covariance, matrix)
     return np.asarray(0.5 * (found + np.swapaxes(found, 1, 2)))
 
@@ -464,13 +457,3 @@ def _turned_deviations(covariance: FloatArray, angle: float) -> FloatArray:
         found[:, i, i] = cos * covariance[:, i, i] + sin * covariance[:, j, j]
         found[:, j, j] = sin * covariance[:, i, i] + cos * covariance[:, j, j]
     return found
-
-
-def _turned_classes(likelihood: FloatArray, angle: float) -> FloatArray:
-    """Return class likelihoods (n, k) of turned orientations, interpolated between classes; sums are kept."""
-    place = angle * likelihood.shape[1] / math.tau
-    # A turn by whole classes is exact.
-    lower = round(place) if abs(place - round(place)) < 1e-9 else math.floor(place)
-    share = place - lower if abs(place - lower) >= 1e-9 else 0.0
-    one, next_one = (np.roll(likelihood, lower + k, axis=1) for k in (0, 1))
-    return np.asarray((1.0 - share) * one + share * next_one)

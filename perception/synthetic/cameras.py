@@ -107,7 +107,7 @@ def _camera_rays(size: tuple[int, int], focal: float, lens: str, oversampling: i
 
 
 @dataclass(frozen=True)
-class Sensor:
+class ImageSensor:
     """Exposure, blur, noise and compression of a camera.
 
     Attributes
@@ -126,9 +126,9 @@ class Sensor:
     jpeg_quality: int = 0
 
 
-def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> Sensor:
+def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> ImageSensor:
     """Draw a sensor of a surveillance camera; ``blur`` is the 1-σ of its blur (pixels)."""
-    return Sensor(
+    return ImageSensor(
         gain=float(rng.uniform(0.55, 1.25)),
         gamma=float(rng.uniform(0.5, 0.85)),
         blur=float(abs(rng.normal(0.0, blur))),
@@ -145,7 +145,7 @@ def random_light(rng: np.random.Generator) -> Light:
     return Light.above(bearing, height, key * tint, ambient * tint[::-1])
 
 
-def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator) -> Image:
+def develop(light: NDArray[np.floating], sensor: ImageSensor, rng: np.random.Generator) -> Image:
     """Return the 8-bit image (h, w, 3), blue green red, of incident light (h, w, 3)."""
     exposed = np.clip(np.asarray(light, np.float32) * sensor.gain, 0.0, 1.0) ** sensor.gamma * 255.0
     if sensor.blur > 0.15:

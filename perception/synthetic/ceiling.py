@@ -14,7 +14,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, unit
 from perception.images.pixels import Image
-from perception.synthetic.cameras import Camera, Sensor
+from perception.synthetic.cameras import Camera, ImageSensor
 from perception.synthetic.people import Appearance, Posture, RobotLook, random_appearance, random_robot
 from perception.synthetic.raycast import Light, TiledFloor
 from perception.synthetic.scene import Furniture, Label, Person, Scene, StillScene
@@ -218,7 +218,7 @@ class CeilingSequence:
     appearances: tuple[Appearance | RobotLook, Appearance]
     walks: tuple[Walk, ...]
     moved: tuple[tuple[Furniture, FloatArray], ...]
-    sensor: Sensor
+    sensor: ImageSensor
     seed: int
     fps: float
     oversampling: int
@@ -285,7 +285,7 @@ def ceiling_sequence(
     if kind.distracter is not None:
         first, last = (round(share * frames) for share in kind.distracter)
         walks.append(walk(replace(kind, sits=()), rng, frames, fps, first, last, np.zeros(2)))
-    sensor = Sensor(
+    sensor = ImageSensor(
         gain=float(rng.uniform(0.8, 1.1)),
         gamma=float(rng.uniform(0.5, 0.7)),
         blur=0.5,

@@ -16,7 +16,7 @@ from graphtrack.tracks.track import Track, TrackSet
 from perception.detection.boxes import PersonBox
 from perception.images.frames import Frame
 from perception.images.pixels import Image
-from perception.synthetic.cameras import Camera, Sensor, random_light, random_sensor
+from perception.synthetic.cameras import Camera, ImageSensor, random_light, random_sensor
 from perception.synthetic.pedestrians import PedestrianVariation, jittered_box, make_pedestrians
 from perception.synthetic.people import Appearance, Posture, random_appearance
 from perception.synthetic.raycast import TiledFloor
@@ -69,7 +69,7 @@ class Walks:
 
     scene: Scene
     appearances: list[Appearance]
-    sensor: Sensor
+    sensor: ImageSensor
     truth: TrackSet
     fps: float
 

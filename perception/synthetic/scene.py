@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
-from perception.synthetic.cameras import Camera, Sensor, develop
+from perception.synthetic.cameras import Camera, ImageSensor, develop
 from perception.synthetic.people import Appearance, Posture, RobotLook, person_solids, robot_solids
 from perception.synthetic.raycast import Cast, Light, TiledFloor, cast
 from perception.synthetic.solids import Builder, Solids, rotation_z
@@ -99,7 +99,7 @@ class RenderedFrame:
 def render_frame(
     scene: Scene,
     people: Sequence[Person],
-    sensor: Sensor,
+    sensor: ImageSensor,
     rng: np.random.Generator,
     *,
     oversampling: int = 2,
@@ -139,7 +139,7 @@ def developed(
     scene: Scene,
     people: Sequence[Person],
     shown: Cast,
-    sensor: Sensor,
+    sensor: ImageSensor,
     rng: np.random.Generator,
     *,
     oversampling: int,
@@ -225,7 +225,7 @@ class StillScene:
     def render(
         self,
         people: Sequence[Person],
-        sensor: Sensor,
+        sensor: ImageSensor,
         rng: np.random.Generator,
         *,
         moving: Sequence[Furniture] = (),

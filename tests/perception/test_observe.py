@@ -18,7 +18,7 @@ from perception.observation.tables import to_tracks
 from perception.pose.classes import PoseClasses
 from perception.pose.head_detection import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
-from perception.synthetic.cameras import Sensor
+from perception.synthetic.cameras import ImageSensor
 from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.raycast import Light, TiledFloor
 
@@ -38,7 +38,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     boxes = []
     for k in range(6):
         posture = Posture((-1.0 + 0.25 * k, 0.0), 0.0, 0.0, phase=0.9 * k, stride=0.8)
-        frame = render_frame(scene, [Person(look, posture)], Sensor(noise=1.0), rng)
+        frame = render_frame(scene, [Person(look, posture)], ImageSensor(noise=1.0), rng)
         cv2.imwrite(str(folder / "frames" / f"{k:04d}.png"), frame.image)
         boxes.append(PersonBox(k, 7, frame.labels[0].body_box))
     write_boxes(boxes, folder / "boxes.txt")

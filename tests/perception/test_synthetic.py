@@ -23,7 +23,7 @@ from perception.synthetic import (
     make_pedestrians,
     render_frame,
 )
-from perception.synthetic.cameras import Sensor
+from perception.synthetic.cameras import ImageSensor
 from perception.synthetic.ceiling import ALL_KINDS, KINDS, SIZE, CeilingSequence, ceiling_sequence
 from perception.synthetic.clips import walking_clip
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
@@ -36,7 +36,7 @@ OVERHEAD = Light((0.0, 0.0, 1.0), (0.6, 0.6, 0.6), (0.4, 0.4, 0.4))
 FRONT = Camera((6.0, 0.0, 0.0), np.pi, 0.0, 1200.0, (96, 96))
 STREET = Camera((0.0, -9.0, 3.5), np.pi / 2, -0.35, 420.0, (192, 144))
 CEILING = Camera((0.0, 0.0, 5.0), 0.3, -np.pi / 2, 80.0, (192, 144), "fisheye")
-QUIET = Sensor(gamma=1.0)
+QUIET = ImageSensor(gamma=1.0)
 
 
 def plain(**changes: object) -> Appearance:
@@ -165,9 +165,9 @@ def test_the_shadow_falls_away_from_the_light() -> None:
 def test_light_and_noise_do_what_they_say() -> None:
     scene = Scene(STREET, OVERHEAD, TiledFloor((0.5, 0.5, 0.5), contrast=0.0))
     rng = np.random.default_rng(0)
-    dim = render_frame(scene, [], Sensor(gain=0.5, gamma=1.0), rng, oversampling=1).image.astype(float)
-    bright = render_frame(scene, [], Sensor(gain=1.0, gamma=1.0), rng, oversampling=1).image
-    noisy = render_frame(scene, [], Sensor(gain=0.5, gamma=1.0, noise=5.0), rng, oversampling=1).image
+    dim = render_frame(scene, [], ImageSensor(gain=0.5, gamma=1.0), rng, oversampling=1).image.astype(float)
+    bright = render_frame(scene, [], ImageSensor(gain=1.0, gamma=1.0), rng, oversampling=1).image
+    noisy = render_frame(scene, [], ImageSensor(gain=0.5, gamma=1.0, noise=5.0), rng, oversampling=1).image
     np.testing.assert_allclose(bright, 2.0 * dim, atol=2.0)
     assert np.std(noisy - dim) == pytest.approx(5.0, rel=0.1)
 
@@ -205,7 +205,7 @@ def test_casting_only_near_what_moves_gives_the_same_frame(oversampling: int) ->
         Person(look, Posture((-2, 1), 1, 2)),
     ]
     moving = (Furniture((-0.5, -0.8), (0.9, 0.6, 0.7), 0.4),)
-    sensor = Sensor(noise=2.0, jpeg_quality=80)
+    sensor = ImageSensor(noise=2.0, jpeg_quality=80)
     fast = StillScene(scene, oversampling=oversampling)
     fast.render(people[1:], sensor, np.random.default_rng(0))  # nothing of one frame may stay in the next
     frame = fast.render(people, sensor, np.random.default_rng(0), moving=moving)
@@ -222,11 +222,13 @@ def test_the_label_encloses_the_pixels_of_the_target(name: str) -> None:
     light = sequence.scene.light._replace(key=(0.0, 0.0, 0.0))
     scene = replace(sequence.scene, light=light)
     room = StillScene(scene, oversampling=1)
-    empty = room.render((), Sensor(), np.random.default_rng(0)).image
+    empty = room.render((), ImageSensor(), np.random.default_rng(0)).image
     for k in range(30, FRAMES, 12):
         posture = sequence.walks[0].posture(k)
         assert posture is not None
-        frame = room.render([Person(sequence.appearances[0], posture)], Sensor(), np.random.default_rng(0))
+        frame = room.render(
+            [Person(sequence.appearances[0], posture)], ImageSensor(), np.random.default_rng(0)
+        )
         box = frame.labels[0].body_box
         assert box is not None
         rows, columns = np.nonzero((frame.image != empty).any(axis=2))
