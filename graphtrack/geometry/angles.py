@@ -153,13 +153,13 @@ def likelihood_at(likelihood: FloatArray, angle: FloatArray, first: float = 0.0)
 def rotated_classes(likelihood: FloatArray, angle: ArrayLike) -> FloatArray:
     """Return likelihoods of classes (n, k) turned by one angle in radians, or by one each (n,).
 
-    They are interpolated between neighbouring classes; sums are kept, and turns by whole classes are exact.
+    They are interpolated between neighbouring classes; sums are kept, and turns by multiples of a class are exact.
     """
     count = likelihood.shape[1]
     place = np.broadcast_to(np.asarray(angle, float) * count / (2.0 * np.pi), len(likelihood))
-    whole = np.abs(place - np.rint(place)) < 1e-9
-    lower = np.where(whole, np.rint(place), np.floor(place))
-    share = np.where(whole, 0.0, place - lower)[:, None]
+    exact = np.abs(place - np.rint(place)) < 1e-9
+    lower = np.where(exact, np.rint(place), np.floor(place))
+    share = np.where(exact, 0.0, place - lower)[:, None]
     source = np.arange(count) - lower[:, None].astype(np.int64)
     one, next_one = (np.take_along_axis(likelihood, (source - k) % count, axis=1) for k in (0, 1))
     return np.asarray((1.0 - share) * one + share * next_one)
