@@ -212,19 +212,10 @@ def most_shown(scene: SceneRow) -> float:
 
 
 @compiled
-def most_dense(chains: Chains, k: int, before: State, m: int, skipped: FloatArray, scene: SceneRow) -> float:
-    """Bound of the log density of the position of detection m after k, and of the gap; see `kalman_step`.
-
-    ``skipped``: `log_gap`, of gaps of 0, 1 … frames
-    """
-    earlier, later = chains.rows[k], chains.rows[m]
+def most_dense(earlier: Row, before: State, later: Row, scene: SceneRow) -> float:
+    """Bound of the log density of the position of a detection after an earlier one; see `kalman_step`."""
     dt = later.t - earlier.t
     off_x, off_y = later.x - before.x - dt * before.vx, later.y - before.y - dt * before.vy
-    gap = later.frame - earlier.frame - 1
-    if chains.scans.shape[1]:
-        gone = log_between(chains, k, m, scene)
-    else:
-        gone = skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
     if is_new(before):
         total = 1e-300
         for component in scene.velocities:
@@ -233,11 +224,20 @@ def most_dense(chains: Chains, k: int, before: State, m: int, skipped: FloatArra
             ahead_x, ahead_y = off_x - dt * component.vx, off_y - dt * component.vy
             square = 0.5 * (ahead_x * ahead_x + ahead_y * ahead_y)
             total += component.weight * math.exp(-square / spread) / spread
-        return math.log(total / (2.0 * math.pi)) + gone
+        return math.log(total / (2.0 * math.pi))
     spread = spread_after(dt, before, later.variance, scene)
     wide = spread + (scene.jump_variance if scene.jump_probability > 0.0 else 0.0)
     square = 0.5 * (off_x * off_x + off_y * off_y)
-    return -math.log(2.0 * math.pi * spread) - square / wide + gone
+    return -math.log(2.0 * math.pi * spread) - square / wide
+
+
+@compiled
+def log_skipped(chains: Chains, k: int, m: int, skipped: FloatArray, scene: SceneRow) -> float:
+    """`log_between`, of one sensor read from ``skipped``: `log_gap` of gaps of 0, 1 … frames."""
+    if chains.scans.shape[1]:
+        return log_between(chains, k, m, scene)
+    gap = chains.rows[m].frame - chains.rows[k].frame - 1
+    return skipped[gap] if gap < len(skipped) else log_gap(gap, scene)
 
 
 @allocating
@@ -335,7 +335,10 @@ def gains_of_links(
                 value[j] = evidence_as_new(chains, m, scene, state[0])
             later = chains.rows[m]
             bound = more + most_offered(later, value[j], most, scene)
-            if bound + most_dense(chains, k, before, m, skipped, scene) <= least[j]:
+            bound += log_skipped(chains, k, m, skipped, scene)
+            if bound - math.log(2.0 * math.pi * later.variance) <= least[j]:
+                continue
+            if bound + most_dense(earlier, before, later, scene) <= least[j]:
                 continue
             gain = more + extend_track(chains, before, k, m, scene, state[0])
             bound = gain - scene.log_birth - later.birth - later.gain + min(0.0, value[j]) + most
@@ -404,13 +407,17 @@ def gains_of_detections(
             if k < 0:
                 gain = start_track(chains.rows[d], scene, here[0])
                 bound = gain - alone[j] + most_offered(chains.rows[m], without, most, scene)
-                bound += most_dense(chains, d, here[0], m, skipped, scene)
+                bound += most_dense(chains.rows[d], here[0], chains.rows[m], scene)
+                if bound > least[j]:
+                    bound += log_skipped(chains, d, m, skipped, scene)
             else:
                 bound = np.inf
                 if m < 0:
                     bound = head_worth(chains, k, scene) + most
                     bound += chains.rows[d].gain + log_end(chains, d, scene) - alone[j]
-                    bound += most_dense(chains, k, chains.state[k], d, skipped, scene)
+                    bound += most_dense(chains.rows[k], chains.state[k], chains.rows[d], scene)
+                    if bound > least[j]:
+                        bound += log_skipped(chains, k, d, skipped, scene)
                 if bound > least[j]:
                     gain = chains.rows[k].total + extend_track(chains, chains.state[k], k, d, scene, here[0])
             if bound <= least[j]:

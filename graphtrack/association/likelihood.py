@@ -381,7 +381,8 @@ def misses_between(chains: Chains, k: int, m: int, heights: FloatArray) -> float
         if scans <= 0.0:
             continue
         view = 0.5 * (chains.views[k, s] + chains.views[m, s])
-        if far:
+        # Fields of view are convex: the way between two places inside is inside.
+        if far and view < 1.0:
             view = 0.0
             for i in range(ON_THE_WAY):
                 share = (i + 0.5) / ON_THE_WAY

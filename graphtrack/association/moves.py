@@ -289,15 +289,20 @@ def carried(
 
 @dataclass(frozen=True, eq=False)
 class _Visit:
-    """Candidates of a cut or of a frame, by the keys of tracks and by detections, after a move."""
+    """Candidates of a cut or of a frame, by the keys of tracks and by detections, after a move.
+
+    ``keys`` and ``columns`` are all tracks and detections, also those without a candidate.
+    """
 
     move: int
     edges: Edges
+    keys: IntArray
+    columns: IntArray
 
 
 _NO_EDGES: Edges = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
 _RECENT = 2  # frames before the current frame: candidates of their heads are computed first
-_ROWS_OF_A_THREAD = 32
+_ROWS_OF_A_THREAD = 128
 """Tracks whose candidates are computed by one thread at least: fewer take less time than the threads."""
 
 Gains = Callable[..., Edges]
@@ -320,6 +325,7 @@ class Moves:
         self.link_p, self.worthless = np.ones(len(chains.t)), WORTHLESS
         self._move = 1
         self._visits: dict[tuple[Gains, int], _Visit] = {}
+        self._last_cut: _Visit | None = None
         self._place = np.full(2 * len(chains.t), -1)
         self._threads = ThreadPoolExecutor(processors()) if processors() > 1 else None
 
@@ -333,6 +339,7 @@ class Moves:
     def filter_from(self, first: int) -> None:
         """Filter all detections from ``first`` on along their chains."""
         self._visits.clear()
+        self._last_cut = None
         refresh(self.chains, first, len(self.chains.t), self.packed, self._move)
         remember_rest(self.chains, self.packed, self._move)
 
@@ -348,20 +355,33 @@ class Moves:
 
     def _links(self, heads: IntArray, tails: IntArray, first: int) -> Edges | None:
         """Candidates of heads for tails across a cut; None: nothing changed since the last time."""
-        chains, since = self.chains, self._since(gains_of_links, first)
+        if not len(heads) or not len(tails):
+            return None
+        chains, own = self.chains, self._visits.get((gains_of_links, first))
+        # A link gains the same at every cut between its detections.
+        visit = own or self._last_cut
+        since = -1 if visit is None else visit.move
         none = np.full(max(len(heads), len(tails)), -1)
         fresh = (
             changed_since(chains, heads, none[: len(heads)], since),
             changed_since(chains, none[: len(tails)], tails, since),
         )
-        if not len(heads) or not len(tails) or not (fresh[0].any() or fresh[1].any()):
+        if own is not None and not (fresh[0].any() or fresh[1].any()):
             return None
+        if own is None and visit is not None:
+            fresh[0][np.isin(heads, visit.keys, invert=True)] = True
+            fresh[1][np.isin(tails, visit.columns, invert=True)] = True
         recent = (chains.following[heads] >= 0) | self._is_recent(heads, first)
-        return self._candidates(gains_of_links, first, CutTracks(heads, none, heads), tails, fresh, recent)
+        tracks = CutTracks(heads, none, heads)
+        edges = self._candidates(gains_of_links, visit, tracks, tails, fresh, recent)
+        if self.remembers:
+            self._last_cut = self._remember(gains_of_links, first, edges, heads, tails)
+        return edges
 
     def _frame(self, first: int, end: int) -> bool:
         """Match the detections of a frame again to the tracks that span it; return whether a link changed."""
-        chains, since = self.chains, self._since(gains_of_detections, first)
+        chains, visit = self.chains, self._visits.get((gains_of_detections, first))
+        since = -1 if visit is None else visit.move
         tracks = spanning(chains, first, end, self.packed)
         heads, tails, _ = tracks
         fresh = changed_since(chains, heads, tails, since), np.full(end - first, since < 0)
@@ -371,14 +391,18 @@ class Moves:
         bridge(chains, heads, tails, first, end)
         recent = (heads >= 0) & ((tails >= 0) | self._is_recent(heads, first))
         detections = np.arange(first, end)
-        edges = self._candidates(gains_of_detections, first, tracks, detections, fresh, recent)
+        edges = self._candidates(gains_of_detections, visit, tracks, detections, fresh, recent)
+        if self.remembers:
+            self._remember(gains_of_detections, first, edges, tracks.keys, detections)
         partner = match(edges, (len(heads), len(detections)))
         return insert(chains, heads, tails, partner, first, before, self.packed, self._move)
 
-    def _since(self, gains: Gains, first: int) -> int:
-        """Return the number of the move after which candidates were last computed at a place, or −1."""
-        visit = self._visits.get((gains, first))
-        return -1 if visit is None else visit.move
+    def _remember(self, gains: Gains, first: int, edges: Edges, keys: IntArray, columns: IntArray) -> _Visit:
+        """Keep the candidates of a cut or of a frame, by their indices in ``keys`` and ``columns``."""
+        i, j, gain = edges
+        visit = _Visit(self._move, (keys[i], columns[j], gain), keys, columns)
+        self._visits[gains, first] = visit
+        return visit
 
     def _is_recent(self, heads: IntArray, first: int) -> Flags:
         return np.asarray(self.chains.frame[heads] >= self.chains.frame[first] - _RECENT)
@@ -386,7 +410,7 @@ class Moves:
     def _candidates(
         self,
         gains: Gains,
-        first: int,
+        visit: _Visit | None,
         tracks: CutTracks,
         columns: IntArray,
         fresh: tuple[Flags, Flags],
@@ -397,13 +421,13 @@ class Moves:
         Parameters
         ----------
         gains : `gains_of_links` or `gains_of_detections`
-        first : where the move is made
+        visit : earlier candidates; None: there are none
         tracks : of the rows
-        fresh : (rows,) and (columns,) that have changed since the move was last made there
+        fresh : (rows,) and (columns,) that have changed since the visit
         recent : (rows,) whose candidates are computed first: candidates that they outbid are skipped
         """
         self._move += self.remembers
-        visit, edges = self._visits.get((gains, first)), _NO_EDGES
+        edges = _NO_EDGES
         if visit is not None:
             edges = carried(visit.edges, tracks.keys, columns, *fresh, self._place)
         least = np.full(len(columns), self.worthless)
@@ -415,9 +439,6 @@ class Moves:
                 edges = joined([edges, *found])
             if group is recent:
                 raise_least(edges, recent, self.worthless, least)
-        if self.remembers:
-            i, j, gain = edges
-            self._visits[gains, first] = _Visit(self._move, (tracks.keys[i], columns[j], gain))
         return edges
 
     def _in_threads(

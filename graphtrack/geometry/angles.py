@@ -153,7 +153,7 @@ def likelihood_at(likelihood: FloatArray, angle: FloatArray, first: float = 0.0)
 def rotated_classes(likelihood: FloatArray, angle: ArrayLike) -> FloatArray:
     """Return likelihoods of classes (n, k) turned by one angle in radians, or by one each (n,).
 
-    They are interpolated between neighbouring classes; sums are kept, and turns by multiples of a class are exact.
+    They are interpolated between neighbouring classes; sums are kept, turns by multiples of a class exact.
     """
     count = likelihood.shape[1]
     place = np.broadcast_to(np.asarray(angle, float) * count / (2.0 * np.pi), len(likelihood))
