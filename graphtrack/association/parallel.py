@@ -1,4 +1,4 @@
-"""Tracks of one person by different sensors, joined as a whole.
+"""Tracks of one person by different sensors, or parts of them, joined as a whole.
 
 Moving one detection after the other from one such track to the other gains nothing until the last: no move of
 a single frame joins them.
@@ -7,7 +7,6 @@ a single frame joins them.
 from __future__ import annotations
 
 import math
-from itertools import combinations
 
 import numpy as np
 
@@ -20,14 +19,24 @@ from graphtrack.association.likelihood import (
     log_end,
     start_track,
 )
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.compilation import allocating
+from graphtrack.packages import ndimage, spatial
 
 _NEAR = 3.0
 """Standard deviations of the difference of two detections, within which most of two tracks are."""
 
+_SAME_WAY = 1.6
+"""The same for the running median of detections of a part of a track; of one person it is about 0.8."""
+
+_MEDIAN_OF = 9  # detections of the running median
+_SHORTEST = 4  # detections of a part of a track
+
 _CLASHES = 0.1
-"""Share of the shorter track's scans, at most, in which both tracks have a detection."""
+"""Share of the scans of a part, at most, in which both tracks have a detection."""
+
+_REACH, _SECONDS = 1.0, 0.3
+"""Metres and seconds between two detections of tracks that are compared."""
 
 
 @allocating
@@ -52,55 +61,106 @@ def tracks_of(chains: Chains) -> list[IntArray]:
 
 
 def join_parallel(chains: Chains, scene: SceneRow) -> int:
-    """Join tracks that are more probably one person's than two people's; return the number of joints.
+    """Join tracks, or parts, that are more probably of one person than of two; return the number of joints.
 
-    Of scans in which both have a detection the longer track keeps its own. The tracks are to be filtered
-    again.
+    A part of one track is put into the other, which keeps its own detection in scans in which both have one.
+    What is before the part and behind it is one track, or two, whichever is more probable. The tracks are to
+    be filtered again.
     """
     tracks = {k: order for k, order in enumerate(tracks_of(chains)) if len(order) > 1}
-    value = {k: evidence_of(chains, order, scene) for k, order in tracks.items()}
-    joints = 0
-    for first, second in _candidates(chains, tracks):
-        if first not in tracks or second not in tracks:
+    value = {k: _worth(chains, order, scene) for k, order in tracks.items()}
+    joints, free = 0, len(chains.rows)
+    for pair in _neighbours(chains, tracks):
+        if not tracks.keys() >= pair:
             continue
-        longer, shorter = sorted((first, second), key=lambda k: -len(tracks[k]))
-        kept = tracks[shorter][~np.isin(chains.frame[tracks[shorter]], chains.frame[tracks[longer]])]
-        merged = np.sort(np.concatenate([tracks[longer], kept]))
-        gained = max(evidence_of(chains, merged, scene), 0.0)
-        if gained <= max(value[longer], 0.0) + max(value[shorter], 0.0):
-            continue
-        for order in (tracks[longer], tracks[shorter]):
-            chains.following[order], chains.preceding[order] = -1, -1
-        chains.following[merged[:-1]], chains.preceding[merged[1:]] = merged[1:], merged[:-1]
-        tracks[longer], value[longer] = merged, gained
-        del tracks[shorter]
-        joints += 1
+        shorter, longer = sorted(pair, key=lambda k: (len(tracks[k]), k))
+        for giver, taker in ((shorter, longer), (longer, shorter)):
+            before = value[giver] + value[taker]
+            found = _with_part(chains, tracks[giver], tracks[taker], before, scene)
+            if found is None:
+                continue
+            for order in (tracks.pop(giver), tracks[taker]):
+                chains.following[order], chains.preceding[order] = -1, -1
+            for order in found:
+                chains.following[order[:-1]], chains.preceding[order[1:]] = order[1:], order[:-1]
+            numbers = [taker, *range(free, free + len(found) - 1)]
+            tracks |= zip(numbers, found, strict=True)
+            value |= {k: _worth(chains, tracks[k], scene) for k in numbers}
+            joints, free = joints + 1, free + len(found) - 1
+            break
     return joints
 
 
-def _candidates(chains: Chains, tracks: dict[int, IntArray]) -> list[tuple[int, int]]:
-    """Return pairs of tracks that are near while both last, the nearest first."""
-    t, position = chains.t, chains.position
-    begin = {k: t[order[0]] for k, order in tracks.items()}
-    end = {k: t[order[-1]] for k, order in tracks.items()}
-    found: list[tuple[float, int, int]] = []
-    for first, second in combinations(tracks, 2):
-        low, high = max(begin[first], begin[second]), min(end[first], end[second])
-        if high <= low:
-            continue
-        shorter, longer = sorted((first, second), key=lambda k: len(tracks[k]))
-        own, other = tracks[shorter], tracks[longer]
-        some = own[(t[own] >= low) & (t[own] <= high)]
-        if not len(some):
-            continue
-        if np.isin(chains.frame[own], chains.frame[other]).mean() > _CLASHES:
-            continue
-        away = _distance(t[some], position[some], t[other], position[other])
-        reach = np.sqrt(chains.variance[some] + float(np.median(chains.variance[other])))
-        apart = float(np.median(away / reach))
-        if apart < _NEAR:
-            found.append((apart, first, second))
-    return [(first, second) for _, first, second in sorted(found)]
+def _with_part(
+    chains: Chains, own: IntArray, other: IntArray, before: float, scene: SceneRow
+) -> list[IntArray] | None:
+    """Return a track with a part of another one, and what is left of that; None if they are worth no more.
+
+    ``before``: the worth of both as they are
+    """
+    for part in _parts(chains, own, other):
+        kept = own[part][~np.isin(chains.frame[own[part]], chains.frame[other])]
+        merged = np.sort(np.concatenate([other, kept]))
+        rest, worth = _rest(chains, own[: part.start], own[part.stop :], scene)
+        if _worth(chains, merged, scene) + worth > before:
+            return [merged, *rest]
+    return None
+
+
+def _worth(chains: Chains, order: IntArray, scene: SceneRow) -> float:
+    """Return the evidence of a track over that of false detections; 0 if those are more probable."""
+    return max(evidence_of(chains, order, scene), 0.0) if len(order) else 0.0
+
+
+def _rest(
+    chains: Chains, before: IntArray, behind: IntArray, scene: SceneRow
+) -> tuple[list[IntArray], float]:
+    """Return the more probable tracks of the detections before and behind a part, and their worth."""
+    apart = _worth(chains, before, scene) + _worth(chains, behind, scene)
+    found = [order for order in (before, behind) if len(order)]
+    if len(found) == 2 and float(chains.t[behind[0]] - chains.t[before[-1]]) <= scene.longest_gap:
+        linked = np.concatenate(found)
+        if (together := _worth(chains, linked, scene)) > apart:
+            return [linked], together
+    return found, apart
+
+
+def _neighbours(chains: Chains, tracks: dict[int, IntArray]) -> list[set[int]]:
+    """Return pairs of tracks that have detections near each other, those with the most of them first."""
+    owner = np.full(len(chains.rows), -1)
+    for k, order in tracks.items():
+        owner[order] = k
+    some = np.flatnonzero(owner >= 0)
+    if not len(some):
+        return []
+    points = np.column_stack([chains.position[some] / _REACH, chains.t[some] / _SECONDS])
+    pairs = owner[some][spatial.cKDTree(points).query_pairs(1.0, output_type="ndarray").reshape(-1, 2)]
+    pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
+    found, counts = np.unique(pairs, axis=0, return_counts=True)
+    return [set(pair) for pair in found[np.argsort(-counts, kind="stable")].tolist()]
+
+
+def _parts(chains: Chains, own: IntArray, other: IntArray) -> list[slice]:
+    """Return the parts of a track that may be of the person of another track, all of it first."""
+    t = chains.t
+    during = (t[own] >= t[other[0]]) & (t[own] <= t[other[-1]])
+    away = np.full(len(own), np.inf)
+    reach = np.sqrt(chains.variance[own] + float(np.median(chains.variance[other])))
+    away[during] = _distance(t[own[during]], chains.position[own[during]], t[other], chains.position[other])
+    away /= reach
+    found = []
+    if during.any() and np.median(away[during]) < _NEAR and len(own) <= len(other):
+        found.append(slice(0, len(own)))
+    smooth = ndimage.median_filter(away, min(_MEDIAN_OF, len(own)), mode="nearest")
+    found += [part for part in _runs(smooth < _SAME_WAY) if part.stop - part.start >= _SHORTEST]
+    clash = np.isin(chains.frame[own], chains.frame[other])
+    return [part for part in found if clash[part].mean() <= _CLASHES]
+
+
+def _runs(mask: BoolArray) -> list[slice]:
+    """Return the longest slices in which a mask (n,) is True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _distance(at: FloatArray, position: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:

@@ -199,6 +199,25 @@ def test_joining_parallel_tracks_raises_the_evidence() -> None:
         assert len(np.unique(true[order])) == 1 and (np.diff(search.chains.frame[order]) > 0).all()
 
 
+def test_a_part_of_a_track_is_joined_too() -> None:
+    rows, detections = detections_of(rows_of(walks(5)))
+    search = _Search(detections, {})
+    true = rows.channels["input_true"].astype(int)[detections.row]
+    # In the middle third one person's detections by one sensor are in the track of another person.
+    t = search.chains.t
+    middle = (np.abs(t - t.mean()) < (t[-1] - t[0]) / 6.0) & ((detections.sensor == 0) | (true == 2))
+    middle &= (true == 1) | (true == 2)
+    mixed = np.where(middle, np.where(true == 1, 2, 5), true)
+    link_by(search.chains, mixed)
+    search.filter_from(0)
+    assert join_parallel(search.chains, search.packed) >= 1
+    foreign = 0
+    for order in tracks_of(search.chains):
+        foreign += len(order) - np.bincount(true[order]).max()
+    # The ends of the part are found to a few detections.
+    assert foreign < 0.3 * (middle & (true == 1)).sum()
+
+
 def test_an_update_is_a_scan_of_one_sensor() -> None:
     tracker = gt.OnlineTracker("position")
     for k in range(20):
