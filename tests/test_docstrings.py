@@ -1,10 +1,11 @@
 """Docstrings: their examples run, and the reference has each parameter's own type and default."""
 
 import doctest
+import json
 import re
 import subprocess
 import sys
-import tomllib
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 
@@ -96,27 +97,40 @@ def checked(page: str) -> list[Block]:
     return [block for block in blocks(page) if block.kind == "python" and block.text not in left_out]
 
 
-def mypy(folder: Path, *files: str) -> str:
-    """mypy's output about files; it reports nothing about their imports.
+STRICT = """
+disallow_any_generics = true
+disallow_subclassing_any = true
+disallow_untyped_calls = true
+disallow_incomplete_defs = true
+disallow_untyped_decorators = true
+warn_return_any = true
+implicit_reexport = false
+strict_equality = true
+extra_checks = true
+"""
+"""What ``--strict`` adds to this repository's settings, for single modules."""
 
-    Of this repository's settings it has one: it does not look into packages without which graphtrack works or
-    that have no types.
+
+def mypy(folder: Path, modules: Iterable[str]) -> list[tuple[str, str]]:
+    """The module and the text of each line that mypy writes.
+
+    With this repository's settings for its packages, whose results it has from `make lint`.
     """
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--no-error-summary"]
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["mypy"]
-    (skipped,) = (one["module"] for one in settings["overrides"] if one.get("follow_imports") == "skip")
-    ours = "follow_imports = skip\nignore_missing_imports = true\n"
-    (folder / "mypy.ini").write_text(f"[mypy]\n[mypy-{','.join(skipped)}]\n{ours}")
+    settings = (ROOT / "pyproject.toml").read_text("utf-8")
+    pages = f"\n[[tool.mypy.overrides]]\nmodule = {json.dumps(list(modules))}\n{STRICT}"
+    (folder / "pyproject.toml").write_text(settings + pages, "utf-8")
     done = subprocess.run(
-        [*command, "--config-file", "mypy.ini", "--python-version", "3.11", *files],
-        cwd=folder,
-        env={"MYPYPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        [sys.executable, "-m", "mypy", "--no-error-summary", "--config-file", folder / "pyproject.toml"]
+        + [str(folder / f"{name}.py") for name in modules],
+        cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
         timeout=1200,
     )
     assert done.returncode in (0, 1), done.stderr
-    return done.stdout
+    lines = [(ROOT / line.split(":", 1)[0], line) for line in done.stdout.splitlines()]
+    return [(path.stem, line) for path, line in lines if path.resolve().parent == folder.resolve()]
 
 
 WRONG = {
@@ -155,8 +169,8 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     for name, text in sources.items():
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
     found: dict[str, list[str]] = {name: [] for name in sources}
-    for line in mypy(folder, *(f"{name}.py" for name in sources)).splitlines():
-        found[line.split(".py:", 1)[0]].append(line)
+    for name, line in mypy(folder, sources):
+        found[name].append(line)
     return found
 
 

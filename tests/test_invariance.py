@@ -1,6 +1,7 @@
 """Origins of time, of frames and of the ground, its axes, and rounded times change no command's result."""
 
 import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 from selection import others_slow
 from walks import rotation
@@ -289,6 +290,9 @@ COMMANDS: dict[str, Command] = {
 GAZE = {"attention", "attention online", "track -", "track - of detections"}
 """Commands that report gaze: gaze at nothing has one of 24 directions, which do not turn with the ground."""
 
+PHASES = [Phase.explicit, *([Phase.generate] if os.environ.get("HYPOTHESIS_PROFILE") else [])]
+"""Every time the examples below; with another profile one that is drawn, too."""
+
 _EXPECTED: dict[tuple[str, float], Result] = {}
 
 
@@ -303,10 +307,10 @@ def expected(command: str, hz: float) -> Result:
     ("hz", "command"),
     others_slow(
         [(hz, command) for hz in SECONDS for command in COMMANDS],
-        [*((2.5, command) for command in COMMANDS), (10.0, "track"), (10.0, "smooth"), (10.0, "associate")],
+        [*((2.5, command) for command in COMMANDS), (10.0, "smooth"), (10.0, "associate")],
     ),
 )
-@settings(max_examples=1, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=1, phases=PHASES, suppress_health_check=[HealthCheck.too_slow])
 @example(Change(seconds=0.05, frames=-80, jitter=2e-6))
 @example(Change(seconds=UNIX, frames=-35, digits=3))
 @example(Change(seconds=1000.0, frames=-20, turn=0.7, metres=(5e5, 5e6)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -148,15 +149,50 @@ def attention(
     groups : conversation groups; by default they are estimated
     online : True to use only the past of each frame
     """
+    return gaze_of(observers_of(tracks, places, groups=groups, online=online), parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """A person whose gaze is estimated, and what the estimate is computed from besides the parameters."""
+
+    track: Track
+    people: tuple[int, ...]
+    places: tuple[str, ...]
+    is_known: BoolArray  # (n,) where the position is known
+    gaze: Callable[[GazeParameters], FloatArray]
+    """`gaze_over_time` with all arguments but the parameters."""
+
+
+def observers_of(
+    tracks: Iterable[Track],
+    places: Sequence[Place] = (),
+    *,
+    groups: Groups | None = None,
+    online: bool = False,
+) -> list[Observer]:
+    """Return all people with their neighbours, for `gaze_of` with one set of parameters or with many."""
     make_attention_ready()
-    chosen = AttentionParameters() if parameters is None else parameters
     everybody = sorted(tracks, key=lambda track: track.track_id)
     warn_unused(everybody, (*USED, *(f"head_p{k}" for k in range(HEAD_CLASSES))), "attention")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # of the same columns
         found = find_groups(everybody, online=online) if groups is None else groups
     people = [_person(track, found, online) for track in everybody]
-    return [_of_one(one, people, places, chosen, online) for one in people]
+    return [_observer(one, people, places, online) for one in people]
+
+
+def gaze_of(observers: Iterable[Observer], parameters: AttentionParameters | None = None) -> list[Attention]:
+    """Estimate the gaze targets of people as `attention` does."""
+    packed = (AttentionParameters() if parameters is None else parameters).packed()
+    found = []
+    for one in observers:
+        probability = one.gaze(packed)
+        probability[~one.is_known] = np.nan
+        found.append(
+            Attention(one.track.track_id, one.track.frame, one.track.t, one.people, one.places, probability)
+        )
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,29 +236,19 @@ def _person(track: Track, groups: Groups, online: bool) -> _Person:
     return _Person(track, t, np.hstack([position, velocity]), t_group[order], group[order])
 
 
-def _of_one(
-    one: _Person,
-    everybody: Sequence[_Person],
-    places: Sequence[Place],
-    parameters: AttentionParameters,
-    online: bool,
-) -> Attention:
+def _observer(one: _Person, everybody: Sequence[_Person], places: Sequence[Place], online: bool) -> Observer:
     track = one.track
     position, age = one.at(track.t, online)
     neighbours, places_of, fellow = _neighbours(one, position, everybody, online)
     gap = track.dt.copy()
     gap[:1] = np.inf
-    views, head = _views(places, position), head_mixture(track)
-    own = _person_records(position, age)
-    probability = gaze_over_time(own, places_of, fellow, views, head, gap, not online, parameters.packed())
-    probability[~np.isfinite(position).all(axis=1)] = np.nan
-    return Attention(
-        track.track_id,
-        track.frame,
-        track.t,
+    own, views = _person_records(position, age), _views(places, position)
+    return Observer(
+        track,
         tuple(other.track.track_id for other in neighbours),
         tuple(place.name for place in places),
-        probability,
+        np.asarray(np.isfinite(position).all(axis=1)),
+        partial(gaze_over_time, own, places_of, fellow, views, head_mixture(track), gap, not online),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.interaction.attention import Attention, AttentionParameters, attention
+from graphtrack.interaction.attention import Attention, AttentionParameters, gaze_of, observers_of
 from graphtrack.interaction.evidence import (
     ALONG,
     REACH,
@@ -287,7 +287,8 @@ def fit_attention(
     start = AttentionParameters() if start is None else start
     _check(tracks, labels)
     found = groups(tracks)
-    first = attention(tracks, parameters=start, groups=found)
+    observers = observers_of(tracks, groups=found)
+    first = gaze_of(observers, start)
     labelled = np.concatenate([one.t[rows] for one, rows, _ in true_shares(first, labels)])
     if not len(labelled):
         raise InputError("no frame with labelled looks", "people and frames of the tracks", path=labels.path)
@@ -296,7 +297,7 @@ def fit_attention(
     begin, labelled_count = _free(start), _count_looked(first, labels, split)
 
     def cost(free: FloatArray) -> float:
-        estimated = attention(tracks, parameters=_parameters(free), groups=found)
+        estimated = gaze_of(observers, _parameters(free))
         belief = 0.5 * float(np.sum(((free - begin) / _WIDE) ** 2)) / max(labelled_count, 1)
         logs = [
             np.log(np.maximum(one.probability[rows][true], LEAST))[one.t[rows] <= split]
@@ -307,7 +308,7 @@ def fit_attention(
     steps = np.full(len(begin), _STEP)
     best = _parameters(_searched(cost, begin, steps, maxfev=_MOST, xatol=0.02, fatol=1e-4))
     parameters = AttentionParameters(*(float(f"{value:.3g}") for value in astuple(best)))
-    estimated = attention(tracks, parameters=parameters, groups=found)
+    estimated = gaze_of(observers, parameters)
     after = (labelled > split).any()
     held = score_gaze(estimated, labels, (split, np.inf)) if after else None
     return LabelledFit(parameters, start, score_gaze(estimated, labels, (-np.inf, split)), held)

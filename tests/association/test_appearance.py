@@ -160,9 +160,9 @@ def test_missing_descriptors_and_one_that_comes_late_are_fine() -> None:
 
 def test_a_detector_that_is_surer_of_people_helps() -> None:
     blind, seen = [], []
-    for seed in range(2):
+    for seed in range(1):
         rng = np.random.default_rng(seed)
-        detections, whose = street(rng, frames=80, people=20, noise=0.2, miss=0.3, false=8.0)
+        detections, whose = street(rng, frames=60, people=15, noise=0.2, miss=0.3, false=8.0)
         score = np.where(whose >= 0, rng.normal(2.0, 0.5, len(whose)), rng.normal(1.0, 0.5, len(whose)))
         blind.append(idf1(run_online(detections)[1], whose))
         seen.append(idf1(run_online(detections, score=np.maximum(score, 0.0))[1], whose))

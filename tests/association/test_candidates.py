@@ -88,7 +88,7 @@ def crowds() -> dict[str, Detections]:
     rng = np.random.default_rng(3)
     shown = {APPEARANCE: descriptors_of_people(rng, whose), "body": rng.uniform(-3.0, 3.0, len(seen))}
     return {
-        "street": street(np.random.default_rng(5), people=12, frames=35, miss=0.2, false=2.0)[0],
+        "street": street(np.random.default_rng(5), people=8, frames=25, miss=0.2, false=2.0)[0],
         "square": packed_square(np.random.default_rng(1), people=30, frames=30)[0],
         "looks": Detections(seen.frame, seen.t, seen.position, {**seen.channels, **shown}),
     }

@@ -237,7 +237,7 @@ def test_an_update_is_a_scan_of_one_sensor() -> None:
 
 
 def test_a_saved_association_of_sensors_goes_on_to_the_same_bits() -> None:
-    table = walks(6, seconds=8.0)
+    table = walks(6, seconds=5.0)
     whole, stopped = OnlineAssociation(), OnlineAssociation()
     for (t, name), rows in table.groupby(["t", "sensor"], sort=True):
         arguments: Any = t, rows[["x", "y"]].to_numpy(), np.full(len(rows), 0.1)

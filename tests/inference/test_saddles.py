@@ -1,4 +1,4 @@
-"""Walks without angles, exact or quantised, in sixteen directions: a stationary point may be a saddle there.
+"""Walks without angles, exact or quantised, in eight directions: a stationary point may be a saddle there.
 
 A body that was never observed, and points exactly against the motion, has a zero gradient.
 """
@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.model import presets
 
 DT, SPEED = 0.1, 1.0
-DIRECTIONS = 2.0 * np.pi * np.arange(16) / 16
+DIRECTIONS = 2.0 * np.pi * np.arange(8) / 8
 QUANTA = (0.0, 0.05, 0.1)  # metres
 BODY_FOLLOWS = ("joint-body", "joint", "joint-intentional", "social")
 MODELS = [name for name in presets if name != "position"]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack import Observation, Track
@@ -79,8 +80,10 @@ def two_sensors(apart: float, std: Any, n: int = 30, first: float = 0.0) -> tupl
     return t, 1.3 * (t - first) + std * rng.standard_normal((n, 2)), std
 
 
-@pytest.mark.parametrize("density", [0.01, 0.15, 10.0])
-@pytest.mark.parametrize("std", [(0.005, 0.02), (0.1, 0.1), (1.0, 0.3)], ids=str)
+NOISES = [(density, std) for density in (0.01, 0.15, 10.0) for std in ((0.005, 0.02), (0.1, 0.1), (1.0, 0.3))]
+
+
+@pytest.mark.parametrize(("density", "std"), others_slow(NOISES, NOISES[::4]))
 @pytest.mark.parametrize(
     ("engine", "preset"), [("chain", "position"), ("chain", "separate"), ("gtsam", "joint")]
 )
@@ -106,13 +109,15 @@ def test_rows_a_hair_apart_equal_the_kalman_smoother(engine, preset, std, densit
         np.testing.assert_array_equal(found.t, row)
 
 
-@pytest.mark.parametrize("first", [0.0, 1.7e9], ids=["from 0", "Unix"])
-@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["after", "before"])
+@pytest.mark.parametrize(
+    ("sign", "first"),
+    others_slow([(1.0, 0.0), (-1.0, 1.7e9), (1.0, 1.7e9), (-1.0, 0.0)], [(1.0, 0.0), (-1.0, 1.7e9)]),
+)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_second_sensor_online_equals_the_kalman_filter(engine, sign, first) -> None:
     density, std = 0.15, (0.1, 0.02)
     for apart in APART:
-        t, x, stds = two_sensors(sign * apart, std, first=first)
+        t, x, stds = two_sensors(sign * apart, std, n=15, first=first)
         smoother, one_time = (
             OnlineSolver(model_of(density), engine=engine),
             abs(t[5, 1] - t[5, 0]) < SAME_TIME,
@@ -141,9 +146,15 @@ def test_a_second_sensor_online_equals_the_kalman_filter(engine, sign, first) ->
         assert found[0].covariance[0, 0] > found[1].covariance[0, 0]
 
 
+RATES = [
+    (hertz, *noise)
+    for hertz in (200, 1000)
+    for noise in ((0.01, 0.15), (0.1, 0.15), (1.0, 0.15), (0.1, 0.01))
+]
+
+
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("hertz", [200, 1000])
-@pytest.mark.parametrize(("std", "density"), [(0.01, 0.15), (0.1, 0.15), (1.0, 0.15), (0.1, 0.01)])
+@pytest.mark.parametrize(("hertz", "std", "density"), others_slow(RATES, [RATES[3], RATES[4], RATES[6]]))
 def test_high_rates_equal_the_kalman_filter(engine, hertz, std, density) -> None:
     n, rng = 60, np.random.default_rng(0)
     t = np.arange(n) / hertz
@@ -203,7 +214,7 @@ ANGLES = st.floats(-3.1, 3.1)
 
 
 @given(st.lists(st.tuples(ANGLES, st.floats(0.1, 50.0)), min_size=2, max_size=4))
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_angles_of_one_time_are_multiplied(given_angles) -> None:
     parts = [Observation(t=0.0, head=angle, head_kappa=kappa) for angle, kappa in given_angles]
     one, grid = merged(parts, LIKELIHOOD, None), np.linspace(-np.pi, np.pi, 17)
@@ -212,7 +223,7 @@ def test_angles_of_one_time_are_multiplied(given_angles) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(1e-3, 10.0)), min_size=2, max_size=4))
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_positions_of_one_time_are_multiplied_in_any_order(given_positions) -> None:
     parts = [Observation(t=0.0, position=(x, 1.0), position_std=std) for x, std in given_positions]
     mean, std = product(*np.array(given_positions).T)
@@ -404,7 +415,10 @@ def track_of(rows: list[Observation], sensor: Any = None) -> Track:
     return Track(1, np.arange(len(rows)), np.array([one.t for one in rows]), sensor=sensor, **channels)
 
 
-@pytest.mark.parametrize("options", [{}, {"constants": "default"}, {"model": "position"}], ids=str)
+OPTIONS: list[dict[str, str]] = [{}, {"constants": "default"}, {"model": "position"}]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
 def test_two_sensors_at_one_time_smooth_as_one(engine, options) -> None:
     rows = [one for k in range(len(TIMES)) for one in both_at(k)]
@@ -419,8 +433,12 @@ def test_two_sensors_at_one_time_smooth_as_one(engine, options) -> None:
         np.testing.assert_allclose(np.cos(found.body[::2] - expected.body), 1.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("options", [{}, {"constants": "default"}, {"model": "position"}], ids=str)
-@pytest.mark.parametrize("engine", ENGINES)
+WITH = [(engine, options) for options in OPTIONS for engine in ENGINES]
+
+
+@pytest.mark.parametrize(
+    ("engine", "options"), others_slow(WITH, [one for one in WITH if one != ("isam2", {})])
+)
 def test_two_sensors_at_one_time_online_are_one_in_either_order(engine, options) -> None:
     if engine == "isam2":
         # It linearises a step that changes again: equal within its thresholds, which are small here.

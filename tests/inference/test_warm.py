@@ -98,10 +98,14 @@ def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="each name has a process of its own")
-def test_each_function_is_made_ready_by_its_name() -> None:
-    done = subprocess.run([sys.executable, first_calls.__file__], capture_output=True, text=True, timeout=900)
+@pytest.mark.parametrize(
+    "names", [("OnlineTracker", "forecast"), pytest.param(WARMED, marks=pytest.mark.slow)], ids=["two", "all"]
+)
+def test_each_function_is_made_ready_by_its_name(names: tuple[str, ...]) -> None:
+    command = [sys.executable, first_calls.__file__, *names]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == [f"{name} compiles nothing" for name in WARMED]
+    assert done.stdout.splitlines() == [f"{name} compiles nothing" for name in names]
 
 
 def test_unknown_functions_are_refused() -> None:

@@ -38,7 +38,7 @@ BY_LABEL = {one.label: one for one in READERS}
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 fuzzed = settings(
-    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000" if NIGHTLY else "40")),
+    max_examples=int(os.environ.get("GRAPHTRACK_FUZZ_EXAMPLES", "2000" if NIGHTLY else "15")),
     suppress_health_check=list(HealthCheck),
 )
 

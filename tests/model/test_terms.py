@@ -311,7 +311,7 @@ def situation(seed: int, n: int = 3) -> tuple[States, Track]:
     return States(position, velocity, body, head), track
 
 
-def every_situation(case: Case, count: int = 16) -> Iterator[tuple[States, Track]]:
+def every_situation(case: Case, count: int) -> Iterator[tuple[States, Track]]:
     """Situations of a case, away from the kink of the coupling where differences would reach across it."""
     for seed in range(count):
         states, track = situation(seed)
@@ -354,7 +354,7 @@ def derivative(function: Callable[[np.ndarray], Any], at: np.ndarray, step: floa
 @EVERY_CASE
 def test_the_kernels_add_up_to_the_density_with_a_curvature_that_is_never_negative(case: Case) -> None:
     term = case.term(case.parameters)
-    for states, track in every_situation(case):
+    for states, track in every_situation(case, 8):
         packed, rows, total = packed_alone(term, track, CAMERA), rows_of(states), 0.0
         for k in range(len(track)):
             cost, gradient, block = evaluate(term, packed, k, rows[k - 1], rows[k], False)
@@ -373,7 +373,7 @@ def test_the_kernels_add_up_to_the_density_with_a_curvature_that_is_never_negati
 @EVERY_CASE
 def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> None:
     term = case.term(case.parameters)
-    for states, track in every_situation(case, 6):
+    for states, track in every_situation(case, 4):
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         both = np.concatenate([rows[0], rows[1]])
 
@@ -396,7 +396,7 @@ def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> N
 @EVERY_CASE
 def test_the_factors_have_the_cost_and_the_gradient_of_the_kernels(case: Case) -> None:
     term = case.term(case.parameters)
-    for states, track in every_situation(case):
+    for states, track in every_situation(case, 8):
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         steps = chain(track, CAMERA)
         values = values_of(steps, rows, Model("separate"))
@@ -428,7 +428,7 @@ def place_of(key: int, k: int) -> np.ndarray:
 @DEFINED
 def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
     term = case.term(case.parameters)
-    for seed, (states, track) in enumerate(every_situation(case, 25)):
+    for seed, (states, track) in enumerate(every_situation(case, 12)):
         rng = np.random.default_rng(seed)
         moved = States(*(value + rng.normal(0.0, 0.5, value.shape) for value in vars(states).values()))
         written = term.cost(moved, track, CAMERA) - term.cost(states, track, CAMERA)
@@ -439,7 +439,7 @@ def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
 @EVERY_CASE
 def test_a_term_declares_what_it_acts_on(case: Case) -> None:
     term = case.term(case.parameters)
-    for states, track in every_situation(case, 10):
+    for states, track in every_situation(case, 5):
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         for k, step in enumerate(chain(track, CAMERA)):
             kernels = called(term, packed, k)
@@ -463,7 +463,7 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
     term, bins = case.term(case.parameters), 24
     angles = 2.0 * PI * np.arange(bins) / bins
     searched = [kernel for kernel in term.kernels if kernel.orientation]
-    for states, track in every_situation(case, 10):
+    for states, track in every_situation(case, 5):
         alone, rows = packed_alone(term, track, CAMERA), rows_of(states)
         packed = filled(PackedTracks.of([track], CAMERA, OF_PRESETS.types), [term])
         problem, n = problem_of(packed), len(track)

@@ -206,9 +206,7 @@ def observations(given: list[dict[str, Any]]) -> list[gt.Observation]:
 
 @pytest.mark.parametrize(
     "name",
-    others_slow(
-        [name for name in CASES if name not in ("groups", "attention")], ["known scene", "everything"]
-    ),
+    others_slow([name for name in CASES if name not in ("groups", "attention")], ["everything"]),
 )
 def test_a_tracker(name: str, cwd: Path) -> None:
     case = CASES[name]
