@@ -30,6 +30,7 @@ from graphtrack.tracks.display import listed
 from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
 from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
+from graphtrack.tracks.sensors import NO_SENSORS, Sensor, Sensors
 from graphtrack.tracks.table import Rows, check_identities
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet, of_axes, to_columns
@@ -59,31 +60,38 @@ _ALONG = (
 
 
 def associated(
-    rows: Rows, scene: GivenScene = None, *, repair: bool = False, missed_rows: bool = True
+    rows: Rows,
+    scene: GivenScene = None,
+    *,
+    sensors: Sensors = NO_SENSORS,
+    repair: bool = False,
+    missed_rows: bool = True,
 ) -> TrackSet:
     """The tracks of associated detections, with a row for each frame from first to last.
 
     Parameters
     ----------
     scene : known parameters; the others are learned
+    sensors : descriptions of several sensors: rates and fields of view that they lack are learned
     repair : the rows have a tracker's identities, which are kept unless the evidence is against them
     missed_rows : False: without the rows of frames in which a person was missed
     """
     known = known_values(scene)
-    found = with_repaired_identities(rows, known) if repair else with_identities(rows, known)
+    identified = with_repaired_identities if repair else with_identities
+    found = identified(rows, known, sensors)
     tracks = TrackSet.from_rows(found)
     return with_every_frame(tracks, SceneParameters(**known).longest_filled) if missed_rows else tracks
 
 
-def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
+def with_identities(rows: Rows, scene: GivenScene = None, sensors: Sensors = NO_SENSORS) -> Rows:
     """The rows of detections with the most probable identities; false detections are left out.
 
     Parameters
     ----------
     rows : on the ground, with times; their own identities are not read
-    scene : known parameters; the others are learned
+    scene, sensors : as of `associated`
     """
-    rows, detections = detections_of(rows)
+    rows, detections = detections_of(rows, sensors)
     from graphtrack.association.offline import associate_detections  # SciPy takes long to load
 
     found = associate_detections(detections, scene)
@@ -104,17 +112,17 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     return rows.keep(identity >= 0, FALSE).with_notes(note, learned_scene(found.scene))
 
 
-def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
+def with_repaired_identities(rows: Rows, scene: GivenScene = None, sensors: Sensors = NO_SENSORS) -> Rows:
     """The rows of a tracker: tracks split at identity switches and joined across gaps.
 
     Parameters
     ----------
     rows : on the ground, with times and identities; those with the identity −1 have none
-    scene : known parameters; the others are learned
+    scene, sensors : as of `associated`
     """
     # Rows of joined tracks may be out of order.
     in_order = rows.frame if rows.sensor is None else rows.channels["t"]
-    rows, detections = detections_of(rows.taken(np.argsort(in_order, kind="stable")))
+    rows, detections = detections_of(rows.taken(np.argsort(in_order, kind="stable")), sensors)
     known, place = _given_identities(rows)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
     from graphtrack.association.offline import repair_detections
@@ -200,8 +208,8 @@ def _check_times(rows: Rows) -> None:
         )
 
 
-def detections_of(rows: Rows) -> tuple[Rows, Detections]:
-    """The usable rows, and their channels that the evidence reads."""
+def detections_of(rows: Rows, sensors: Sensors = NO_SENSORS) -> tuple[Rows, Detections]:
+    """The usable rows, and their channels that the evidence reads; ``sensors`` as of `associated`."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
     if "position_covariance" in rows.channels:
@@ -215,9 +223,10 @@ def detections_of(rows: Rows) -> tuple[Rows, Detections]:
         scans = scans_of(rows.channels["t"], rows.frame, sensor)
         position = rows.channels["position"]
         own = scans.number
-        of_sensors: dict[str, Any] = {"sensor": sensor, "scans": scans.before[own]}
+        described = tuple(sensors.get(name, Sensor()) for name in names.tolist())
+        of_sensors: dict[str, Any] = {"sensor": sensor, "scans": scans.before[own], "sensors": described}
         detections = Detections(own, scans.ordered[own], position, channels, **of_sensors)
-        return rows, with_views(detections, Views.of(position, sensor, len(names)))
+        return rows, with_views(detections, Views.of(position, sensor, len(names), described))
     _, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
     t = rows.channels["t"][first][place]  # of its frame: rounding must not change the order within it
     return rows, Detections(rows.frame, t, rows.channels["position"], channels)
@@ -314,7 +323,8 @@ def tracks_of_rows(rows: Rows, options: ReadOptions, scene: GivenScene = None) -
     if not associates and options.associate != "repair":
         return identified_tracks(rows, options)
 
-    return associated(rows, scene, repair=not associates, missed_rows=options.missed_rows)
+    known = NO_SENSORS if options.sensor_scene is None else options.sensor_scene
+    return associated(rows, scene, sensors=known, repair=not associates, missed_rows=options.missed_rows)
 
 
 def read(

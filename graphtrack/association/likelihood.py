@@ -91,6 +91,7 @@ class SceneRow(NamedTuple):
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
     velocities: NDArray[np.void] = ANY_VELOCITY  # components of the prior, of `VELOCITY`
     views: FloatArray = np.zeros((0, len(COMPASS)))  # `Views.heights` of several sensors
+    weights: FloatArray = np.zeros(0)  # `SensorRates.weights`
 
 
 def scene_of(
@@ -368,10 +369,10 @@ def view_at(heights: FloatArray, sensor: int, x: float, y: float) -> float:
 
 
 @compiled
-def misses_between(chains: Chains, k: int, m: int, heights: FloatArray) -> float:
-    """Return the scans between detections k and m whose sensors see the way between them.
+def misses_between(chains: Chains, k: int, m: int, heights: FloatArray, weights: FloatArray) -> float:
+    """Return the scans between detections k and m whose sensors see the way between them, weighted.
 
-    ``heights``: of `sensors.Views`
+    ``heights``: of `sensors.Views`; ``weights``: (s,) of a miss by each sensor
     """
     earlier, later = chains.rows[k], chains.rows[m]
     far = abs(later.x - earlier.x) + abs(later.y - earlier.y) > EDGE
@@ -388,7 +389,7 @@ def misses_between(chains: Chains, k: int, m: int, heights: FloatArray) -> float
                 share = (i + 0.5) / ON_THE_WAY
                 x, y = earlier.x + share * (later.x - earlier.x), earlier.y + share * (later.y - earlier.y)
                 view += view_at(heights, s, x, y) / ON_THE_WAY
-        missed += scans * view
+        missed += scans * view * weights[s]
     return missed
 
 
@@ -398,16 +399,17 @@ def log_between(chains: Chains, k: int, m: int, scene: SceneRow) -> float:
     frames = chains.rows[m].frame - chains.rows[k].frame - 1
     if not chains.scans.shape[1] or frames <= 0:
         return log_gap(frames, scene)
-    return log_misses(misses_between(chains, k, m, scene.views), frames, scene)
+    return log_misses(misses_between(chains, k, m, scene.views, scene.weights), frames, scene)
 
 
-@compiled
+@allocating
 def count_misses(
     chains: Chains, before: IntArray, after: IntArray, heights: FloatArray, missed: FloatArray
 ) -> None:
-    """Fill `misses_between` of pairs (n,) of detections."""
+    """Fill `misses_between` of pairs (n,) of detections, with weights of 1."""
+    even = np.ones(len(heights))
     for i in range(len(before)):
-        missed[i] = misses_between(chains, before[i], after[i], heights)
+        missed[i] = misses_between(chains, before[i], after[i], heights, even)
 
 
 @compiled
@@ -605,9 +607,10 @@ def log_end(chains: Chains, k: int, scene: SceneRow) -> float:
         return 0.0
     missed = float(left)
     if chains.scans.shape[1]:
-        missed = chains.views[k, chains.rows[-1].sensor] - chains.views[k, chains.rows[k].sensor]
+        own, newest = chains.rows[k].sensor, chains.rows[-1].sensor
+        missed = chains.views[k, newest] * scene.weights[newest] - chains.views[k, own] * scene.weights[own]
         for s in range(chains.scans.shape[1]):
-            missed += (chains.scans[-1, s] - chains.scans[k, s]) * chains.views[k, s]
+            missed += (chains.scans[-1, s] - chains.scans[k, s]) * chains.views[k, s] * scene.weights[s]
     return max(min(scene.log_death + chains.rows[k].death, 0.0), log_misses(missed, left, scene))
 
 

@@ -33,6 +33,7 @@ from graphtrack.association.likelihood import (
 )
 from graphtrack.association.moves import WORTHLESS, Moves
 from graphtrack.association.parallel import join_parallel
+from graphtrack.association.rates import SensorRates
 from graphtrack.association.scene import (
     GroundRates,
     duplicate_density,
@@ -101,6 +102,7 @@ class LearnedScene:
     scene: SceneParameters
     velocities: NDArray[np.void]  # see `velocities_of`
     rates: GroundRates
+    of_sensors: SensorRates
     appearance: AppearanceEvidence
 
 
@@ -112,7 +114,7 @@ def learn_from_detections(detections: Detections, known: Known) -> LearnedScene:
     appearance = search.appearance_of(identity)
     search.adopt(scene)
     rates = learn_ground_rates(search.chains, identity)
-    return LearnedScene(scene, search.velocities, rates, appearance)
+    return LearnedScene(scene, search.velocities, rates, search.of_sensors, appearance)
 
 
 def repair_detections(
@@ -167,13 +169,16 @@ class _Search(Moves):
         self.detections, self._known = detections, known
         alone = detections.of_main_sensor
         scene = replace(first_guess(alone) if start is None else start, **known)
-        self._views = Views.of(detections.position, detections.sensor, detections.scans.shape[1])
+        count, described = detections.scans.shape[1], detections.sensors
+        self._views = Views.of(detections.position, detections.sensor, count, described)
+        self.of_sensors = SensorRates.even(count)
         scene = with_longest_gap(scene, self._views, known)
         self.velocities = first_velocities(alone, scene, known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
         chains = chains_of(detections)
-        super().__init__(chains, scene_of(scene, detections.step_seconds), remembers=True)
+        packed = scene_of(scene, detections.step_seconds)
+        super().__init__(chains, packed._replace(weights=self.of_sensors.weights), remembers=True)
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
         self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
@@ -231,7 +236,9 @@ class _Search(Moves):
             detections = self.detections
             self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
         packed = scene_of(scene, self.detections.step_seconds, self.velocities)
-        packed = packed._replace(trust=self._trust, views=self._views.heights)
+        packed = packed._replace(
+            trust=self._trust, views=self._views.heights, weights=self.of_sensors.weights
+        )
         self.packed = self._appearance.in_scene(packed)
         self.chains = self._appearance.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
@@ -239,6 +246,8 @@ class _Search(Moves):
         self.chains.rows["birth"], self.chains.rows["death"] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
+        if len(gains := self.of_sensors.gains):
+            self.chains.gain[:] += gains[self.detections.sensor]
         model, each = self._appearance.model, 0.0
         if model is not None:
             each = constancy(self.chains, identity, model, self._like_first())
@@ -256,9 +265,15 @@ class _Search(Moves):
             self._appearance = AppearanceEvidence(colours=colours)
             model = learn_appearance(self.chains, identity, self._like_first())
             self._appearance = replace(self._appearance, model=model)
+        known = self._known
+        if detections.scans.shape[1]:
+            rates = SensorRates.learned(self.chains, identity, self._views, detections.sensors)
+            self.of_sensors = rates
+            # From gaps, chance and occlusion can hardly be told apart: most gaps are of one scan.
+            known = {"detection_probability": float(rates.detection.mean()), **known}
         seconds = self.packed.frame_seconds
         scene = learn_orientation(self.chains, scene, seconds, self._known, self.velocities)
-        return learn_scene(self.chains, identity, scene, self._std, seconds, self._known, self.velocities)
+        return learn_scene(self.chains, identity, scene, self._std, seconds, known, self.velocities)
 
     def look_near(self) -> None:
         """Look no further than a few seconds, until parameters are learned that tell what may be far."""

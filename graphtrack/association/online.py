@@ -27,6 +27,7 @@ from graphtrack.association.likelihood import (
 )
 from graphtrack.association.moves import Moves
 from graphtrack.association.offline import LearnedScene, learn_from_detections, make_association_ready
+from graphtrack.association.rates import SensorRates
 from graphtrack.association.scene import (
     AHEAD,
     GroundRates,
@@ -249,6 +250,7 @@ class OnlineAssociation(Moves, Saved):
         "_last_of": list[float],
         "_scans": list[int],
         "_views": Views,
+        "_rates": SensorRates,
         "_recent": list[int],
     }
 
@@ -273,7 +275,7 @@ class OnlineAssociation(Moves, Saved):
         self.sensors: list[str] = []
         self._last_of: list[float] = []
         self._scans: list[int] = []
-        self._views = Views.none()
+        self._views, self._rates = Views.none(), SensorRates.even(0)
         self._recent: list[int] = []  # sensors of the newest scans, if there are several
         self._pairs: Pairs  # of the frames that can be revised
         # The same by the number of the update, from its first detection on, and the spread that they are for.
@@ -363,7 +365,7 @@ class OnlineAssociation(Moves, Saved):
             newest = np.array(self._recent)
             place = len(newest) - (self.updates - scan)
             sensor = newest[np.clip(place, 0, len(newest) - 1)]
-            each = np.take_along_axis(views, sensor[:, :, None], axis=2)[:, :, 0]
+            each = np.take_along_axis(views * self._rates.weights, sensor[:, :, None], axis=2)[:, :, 0]
             missed = np.vstack([np.zeros(len(last)), np.cumsum(each, axis=0)])
         return np.exp(misses_of(missed, frames, self.packed))
 
@@ -461,6 +463,7 @@ class OnlineAssociation(Moves, Saved):
             self._last_of.append(t)
             self._scans.append(0)
             self._views = self._views.with_sensor()
+            self._rates = self._rates.of(len(self.sensors))
             if len(self.sensors) == 2:
                 self._views = self._views.reaching(self.chains.position, self.chains.sensor)
                 self._recent = [0] * len(self._intervals)
@@ -561,7 +564,8 @@ class OnlineAssociation(Moves, Saved):
 
     def _pack(self) -> None:
         packed = scene_of(self.scene, self.step_seconds, self._velocities)
-        self.packed = self._appearance.in_scene(packed._replace(views=self._views.heights))
+        packed = packed._replace(views=self._views.heights, weights=self._rates.weights)
+        self.packed = self._appearance.in_scene(packed)
 
     def _weigh_duplicates(self) -> None:
         """Set the gains of detections: lower near a person who is detected already."""
@@ -573,6 +577,7 @@ class OnlineAssociation(Moves, Saved):
         near = duplicate_density_of(self._pairs, track[first:], self.scene, times)
         false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
+        chains.gain[first:] += self._rates.gains[chains.sensor[first:]]
         chains.gain[first:] += self._appearance.gain(notes.descriptor[first:], notes.score[first:])
         self.filter_from(first)
 
@@ -612,6 +617,7 @@ class OnlineAssociation(Moves, Saved):
             found = history.learned(self.known)
             self.scene, self._velocities = found.scene, found.velocities
             self._ground_rates, self._appearance = found.rates, found.appearance
+            self._rates = found.of_sensors.of(len(self.sensors))
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
         elif not history.learnings:
             of_sensors: dict[str, Any] = {"sensor": chains.sensor, "scans": chains.scans}

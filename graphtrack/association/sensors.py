@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.detections import Detections, with_those_between
 from graphtrack.tracks.scene import Known, SceneParameters
+from graphtrack.tracks.sensors import Sensor, outline_of
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import with_clipped
 
@@ -95,14 +97,22 @@ class Views:
     heights: FloatArray
 
     @classmethod
-    def of(cls, position: FloatArray, sensor: IntArray, count: int) -> Views:
-        """Learn the fields of view of ``count`` sensors from detections (n, 2), metres."""
+    def of(
+        cls, position: FloatArray, sensor: IntArray, count: int, described: Sequence[Sensor] = ()
+    ) -> Views:
+        """Learn the fields of view of ``count`` sensors from detections (n, 2), metres.
+
+        The convex shape around a field of view that is described, of a sensor at rest, is taken as it is.
+        """
         heights = np.full((count, len(COMPASS)), -np.inf)
-        along = position @ COMPASS.T
         for one in range(count):
-            own = along[sensor == one]
-            if len(own):
-                heights[one] = np.quantile(own, _INSIDE, axis=0)
+            own = position[sensor == one]
+            known = described[one] if described else Sensor()
+            outline = None if known.moves else outline_of(known, own)
+            if outline is not None:
+                heights[one] = (outline @ COMPASS.T).max(axis=0)
+            elif len(own):
+                heights[one] = np.quantile(own @ COMPASS.T, _INSIDE, axis=0)
         return cls(heights)
 
     @classmethod
@@ -119,6 +129,26 @@ class Views:
         heights = self.heights.copy()
         np.maximum.at(heights, sensor, position @ COMPASS.T)
         return Views(heights)
+
+    def outline(self, sensor: int) -> FloatArray:
+        """Return the outline (k, 2) of the field of view of a sensor; (0, 2) without one."""
+        heights = self.heights[sensor]
+        if not np.isfinite(heights).all():
+            return np.empty((0, 2))
+        reach = 2.0 * float(np.abs(heights).max()) + 1.0
+        outline = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        for way, height in zip(COMPASS, heights, strict=True):
+            outline = _cut(outline, outline @ way - height)
+        return outline
+
+    @property
+    def areas(self) -> FloatArray:
+        """(s,) m² of the fields of view; 0 without one."""
+        found = np.zeros(len(self.heights))
+        for one in range(len(found)):
+            x, y = self.outline(one).T
+            found[one] = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+        return found
 
     @property
     def farthest(self) -> float:
@@ -138,6 +168,19 @@ class Views:
         beyond = (position @ COMPASS.T)[:, None, :] - self.heights
         shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / EDGE, 0.0, 1.0)
         return shares
+
+
+def _cut(outline: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Return the part of a convex outline (k, 2) where a linear function, (k,) at corners, is ≤ 0."""
+    parts = []
+    for corner, value, next_corner, next_value in zip(
+        outline, beyond, np.roll(outline, -1, axis=0), np.roll(beyond, -1), strict=True
+    ):
+        if value <= 0.0:
+            parts.append(corner)
+        if (value <= 0.0) != (next_value <= 0.0):
+            parts.append(corner + value / (value - next_value) * (next_corner - corner))
+    return np.array(parts).reshape(-1, 2)
 
 
 def with_longest_gap(scene: SceneParameters, views: Views, known: Known) -> SceneParameters:

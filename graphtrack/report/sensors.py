@@ -9,16 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association.likelihood import COMPASS
 from graphtrack.association.sensors import Views
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.content import DataTable, Section
 from graphtrack.report.lives import Pair, finite_rows
 from graphtrack.report.style import group_colour
-from graphtrack.tracks.sensors import Sensor, Sensors
-
-_ARC = 49
-"""Points of an arc of a field of view."""
+from graphtrack.tracks.sensors import Sensor, Sensors, outline_of
 
 _FEWEST = 3
 """Fewest positions that a field of view is learned from."""
@@ -82,47 +78,10 @@ def _observed(pairs: Iterable[Pair]) -> tuple[np.ndarray, FloatArray]:
     return np.concatenate(names), np.concatenate(positions)
 
 
-def outline_of(sensor: Sensor, observed: FloatArray) -> FloatArray | None:
-    """Return the outline (k, 2) of a described field of view; None if it is not described.
-
-    A sector without a range reaches as far as the positions (n, 2) that were observed.
-    """
-    if sensor.field_of_view is not None:
-        return np.array(sensor.field_of_view)
-    if sensor.eye is None or (sensor.range is None and sensor.sector is None):
-        return None
-    eye = np.array(sensor.eye)
-    reach = sensor.range
-    if reach is None:
-        reach = float(np.linalg.norm(observed - eye, axis=1).max(initial=1.0))
-    begin, end = (0.0, math.tau) if sensor.sector is None else sensor.sector
-    arc = eye + reach * unit(np.linspace(begin, end, _ARC) + (sensor.heading or 0.0))
-    return arc if sensor.sector is None else np.vstack([eye, arc])
-
-
 def _learned_outline(position: FloatArray) -> FloatArray | None:
     """Return the outline (k, 2) of the field of view that association learns from positions (n, 2)."""
-    (heights,) = Views.of(position, np.zeros(len(position), dtype=np.int64), 1).heights
-    low, high = position.min(axis=0) - 1.0, position.max(axis=0) + 1.0
-    outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    for direction, height in zip(COMPASS, heights, strict=True):
-        outline = _cut(outline, outline @ direction - height)
-        if len(outline) < 3:
-            return None
-    return outline
-
-
-def _cut(outline: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Return the part of a convex outline (k, 2) where a linear function, (k,) at corners, is ≤ 0."""
-    parts = []
-    for corner, value, next_corner, next_value in zip(
-        outline, beyond, np.roll(outline, -1, axis=0), np.roll(beyond, -1), strict=True
-    ):
-        if value <= 0.0:
-            parts.append(corner)
-        if (value <= 0.0) != (next_value <= 0.0):
-            parts.append(corner + value / (value - next_value) * (next_corner - corner))
-    return np.array(parts).reshape(-1, 2)
+    outline = Views.of(position, np.zeros(len(position), dtype=np.int64), 1).outline(0)
+    return outline if len(outline) >= _FEWEST else None
 
 
 def sensors_section(shown: Sequence[ShownSensor], described: Sensors | None = None) -> tuple[Section, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks.sensors import Sensor
 
 APPEARANCE = "input_appearance"
 """The channel of appearance descriptors, (n, d)."""
@@ -32,6 +33,7 @@ class Detections:
     scans : (n, s) scans of each of several sensors before its own; a frame is then a scan of one of them.
         (n, 0): one sensor
     views : (n, s) probability that its place is in the field of view of each
+    sensors : descriptions of the s sensors; (): none
     """
 
     frame: NDArray[np.int64]
@@ -42,6 +44,7 @@ class Detections:
     sensor: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     scans: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     views: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    sensors: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -66,7 +69,7 @@ class Detections:
         """Return the detections at some indices."""
         channels = {name: values[rows] for name, values in self.channels.items()}
         frame, t, position = self.frame[rows], self.t[rows], self.position[rows]
-        of_sensors = self.sensor[rows], self.scans[rows], self.views[rows]
+        of_sensors = self.sensor[rows], self.scans[rows], self.views[rows], self.sensors
         return Detections(frame, t, position, channels, self.row[rows], *of_sensors)
 
     @property
@@ -83,6 +86,7 @@ class Detections:
             sensor=np.zeros(len(own), np.int64),
             scans=np.zeros((len(own), 0)),
             views=np.zeros((len(own), 0)),
+            sensors=(),
         )
 
     @property

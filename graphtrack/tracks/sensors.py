@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import BoolArray, FloatArray, direction, rotated, rotated_classes, wrap
+from graphtrack.geometry.angles import BoolArray, FloatArray, direction, rotated, rotated_classes, unit, wrap
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION, LARGEST_METRES, Bounds, is_number
+
+_ARC = 49
+"""Points of an arc of a field of view."""
 
 MOST_CORNERS = 1000
 """Corners of a field of view, at most."""
@@ -310,6 +314,8 @@ class Sensor(_Described):
 Sensors: TypeAlias = Mapping[str, Sensor]
 """Name of a sensor → its description."""
 
+NO_SENSORS: Sensors = MappingProxyType({})
+
 
 def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> BoolArray:
     """Return a mask (n,) of the points in a field of view; False where NaN.
@@ -334,6 +340,24 @@ def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> 
             bearing = direction(away) - (sensor.heading or 0.0) - begin
             found &= np.mod(bearing, math.tau) <= end - begin
     return found
+
+
+def outline_of(sensor: Sensor, observed: FloatArray) -> FloatArray | None:
+    """Return the outline (k, 2) of a described field of view; None if it is not described.
+
+    A sector without a range reaches as far as the positions (n, 2) that were observed.
+    """
+    if sensor.field_of_view is not None:
+        return np.array(sensor.field_of_view)
+    if sensor.eye is None or (sensor.range is None and sensor.sector is None):
+        return None
+    eye = np.array(sensor.eye)
+    reach = sensor.range
+    if reach is None:
+        reach = float(np.linalg.norm(observed - eye, axis=1).max(initial=1.0))
+    begin, end = (0.0, math.tau) if sensor.sector is None else sensor.sector
+    arc = eye + reach * unit(np.linspace(begin, end, _ARC) + (sensor.heading or 0.0))
+    return arc if sensor.sector is None else np.vstack([eye, arc])
 
 
 def into_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
