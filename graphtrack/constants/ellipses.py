@@ -53,6 +53,10 @@ def correct(mean: Any, spread: Any, x: float, y: float, noise: Any, gain: Any) -
         a, b = spread[0, j], spread[1, j]
         for i in range(4):
             spread[i, j] -= gain[i, 0] * a + gain[i, 1] * b
+    # Rounding grows in what is not symmetric.
+    for i in range(4):
+        for j in range(i):
+            spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
 
 
 @allocating

@@ -190,7 +190,7 @@ class _Positions:
             near = [np.array(place) + move for move in moves]
             inside = [tuple(one.tolist()) for one in near if ((one >= lowest) & (one < highest)).all()]
             better = max(inside, key=total)
-            if total(better) <= total(place):
+            if not total(better) > total(place):
                 break
             place = better
         multiple, along, across = place

@@ -78,6 +78,26 @@ def test_evidence_is_the_exact_density_of_the_positions(std: float, density: flo
     assert found[0, 0] == pytest.approx(expected, abs=0.05) and errors[0, 0] < 0.05
 
 
+def test_evidence_of_ellipses_is_that_of_their_axes() -> None:
+    (track,) = walks(0, people=1, white=0.0).tracks
+    t, n, turn, density, parameters = track.t, len(track), rotation(0.7), 10.0, Parameters()
+    errors = np.array([0.025, 0.004]) * np.random.default_rng(2).standard_normal((n, 2))
+    covariance = np.tile(turn @ np.diag([0.025**2, 0.004**2]) @ turn.T, (n, 1, 1))
+    place = track.true_position + errors @ turn.T
+    observed = replace(track, position=place, position_covariance=covariance)
+    low, high = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    motion = parameters.motion.initial_speed_std**2 * np.outer(t, t)
+    motion = motion + density * low**2 * (3.0 * high - low) / 6.0
+    contrast = np.eye(n)[1:] - np.eye(n)[0]
+    expected = (n - 1) * np.log(1.0 - OUTLIERS)
+    for axis, std in enumerate((0.025, 0.004)):
+        spread = contrast @ (motion + std**2 * np.eye(n)) @ contrast.T
+        mean = np.zeros(n - 1)
+        expected += stats.multivariate_normal(mean, spread).logpdf(contrast @ (place @ turn)[:, axis])
+    found, gross = motion_evidence([observed], parameters, np.array([density]))
+    assert found[0, 0] == pytest.approx(expected, abs=0.05) and gross[0, 0] < 0.1
+
+
 def test_persistent_errors_of_no_size_are_none() -> None:
     tracks = walks(1, people=3).tracks
     white = motion_evidence(tracks, Parameters(), DENSITIES, None, Persistent())[0]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import ran, run
+from sensor_scenes import NO_ERRORS, misses
 
 import graphtrack as gt
 from graphtrack.io.sensors import SensorScene
@@ -19,11 +20,9 @@ from graphtrack.simulation.crowd import crossing
 from graphtrack.simulation.sensors import observe, square
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.sensor_errors import CLOCK, ERRORS, errors_of, with_errors
-from graphtrack.tracks.sensors import Sensor, corrected
+from graphtrack.tracks.sensors import corrected
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
-
-KNOWN = Sensor(shift=(0.0, 0.0), rotation=0.0, angle_bias=0.0, clock_offset=0.0)
 
 
 def recording(
@@ -41,20 +40,6 @@ def recording(
     return seen.drop(columns="true_id").reset_index(drop=True), scene
 
 
-def misses(found: SensorScene, true: SensorScene) -> tuple[np.ndarray, np.ndarray]:
-    """The errors (s, 5) of learned errors, and their 1-σ, without those of the first sensor."""
-    errors, stds = [], []
-    for name, sensor in list(true.items())[1:]:
-        one = found[name]
-        # A rotation about another pivot is one with another shift.
-        pivot, turn = np.array(one.pivot), float(sensor.rotation or 0.0)
-        matrix = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        shift = matrix @ pivot + np.array(sensor.shift) - pivot
-        errors.append(errors_of(one) - np.array([*shift, *errors_of(sensor)[2:]]))
-        stds.append([*one.shift_std, one.rotation_std, one.angle_bias_std, one.clock_offset_std])
-    return np.array(errors), np.array(stds)
-
-
 def rows_in_order(rows: Rows, sensors: SensorScene) -> Rows:
     """Rows in the order that they have once corrected."""
     times = corrected(rows, sensors).channels["t"]
@@ -65,16 +50,16 @@ def rows_in_order(rows: Rows, sensors: SensorScene) -> Rows:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_errors_are_found_within_what_is_stated(seed) -> None:
     rows, scene = recording(seed)
-    found = learn_sensors(rows, {"south-west": KNOWN})
+    found = learn_sensors(rows, {"south-west": NO_ERRORS})
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std).all()
     assert np.sqrt(np.mean((errors / std) ** 2)) < 1.6
-    assert found["south-west"] == replace(KNOWN, pivot=found["south-west"].pivot)
+    assert found["south-west"] == replace(NO_ERRORS, pivot=found["south-west"].pivot)
 
 
 def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
     rows, _ = recording(3, people=12, seconds=12.0, count=2)
-    found = learn_sensors(rows, {"south-west": KNOWN})
+    found = learn_sensors(rows, {"south-west": NO_ERRORS})
     tracks = gt.read(rows, sensors=found)
     tracks = tracks.with_tracks(one for one in tracks if len(one) > 40)
     constants = {one.track.track_id: one.constants for one in gt.solve(tracks)}
@@ -131,7 +116,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
 def test_sensors_with_identities_of_their_own_are_aligned_first() -> None:
     rows, scene = recording(5, people=15, identities="own")
     rows = rows[rows.input_true_id >= 0].reset_index(drop=True)
-    found = learn_sensors(rows, {"south-west": KNOWN}, identities="own")
+    found = learn_sensors(rows, {"south-west": NO_ERRORS}, identities="own")
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std + 1e-3).all()
 
@@ -166,7 +151,7 @@ def test_what_cannot_be_learned_is_refused() -> None:
 def test_known_errors_stay_as_they_are() -> None:
     rows, scene = recording(7, people=5, seconds=10.0, count=2)
     known = replace(scene["south-east"], rotation=None, clock_offset=None)
-    found = learn_sensors(rows, {"south-west": KNOWN, "south-east": known})
+    found = learn_sensors(rows, {"south-west": NO_ERRORS, "south-east": known})
     assert found["south-east"].shift == scene["south-east"].shift
     assert found["south-east"].shift_std is None and found["south-east"].clock_offset_std is not None
     assert found["south-east"].clock_offset == pytest.approx(scene["south-east"].clock_offset, abs=0.05)
@@ -176,7 +161,7 @@ def test_the_command_learns_and_smooth_uses_it(tmp_path) -> None:
     rows, scene = recording(8, people=6, seconds=10.0, count=2)
     path, learned, both = tmp_path / "rows.csv", tmp_path / "learned.toml", tmp_path / "both.toml"
     rows.to_csv(path, index=False)
-    SensorScene({"south-west": KNOWN}).save(tmp_path / "known.toml")
+    SensorScene({"south-west": NO_ERRORS}).save(tmp_path / "known.toml")
     known = tmp_path / "known.toml"
     said = ran("fit", path, "--sensors", known, "-o", learned, program="graphtrack")
     assert "±" in said.stdout and "graphtrack smooth" in said.stderr
