@@ -470,6 +470,7 @@ class OnlineAssociation(Moves, Saved):
             count = len(self.sensors) if len(self.sensors) > 1 else 0
             scans = with_first_sensor(self.chains.scans, self.chains.frame, count)
             self.chains = self.chains._replace(scans=scans, views=np.zeros(scans.shape))
+            self._pack()
         one = self.sensors.index(sensor)
         self._last_of[one] = t
         if len(self.sensors) > 1:

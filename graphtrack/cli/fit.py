@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, replace
 from pathlib import Path
@@ -162,24 +161,14 @@ def sensors_learned(
 
 
 def sensor_rows(sensors: Mapping[str, Sensor]) -> list[dict[str, object]]:
-    """Return a row for each sensor, of its errors with their 1-σ."""
+    """Return a row for each sensor, of what is learned of it with its 1-σ."""
+    from graphtrack.tracks.sensor_errors import shown_values
 
     def shown(value: float | None, std: float | None) -> str:
-        return "" if value is None else f"{value:.3f}" + ("" if std is None else f" ± {std:.3f}")
+        return "" if value is None else f"{value:.3g}" if std is None else f"{value:.3f} ± {std:.3f}"
 
-    def degrees(angle: float | None) -> float | None:
-        return None if angle is None else math.degrees(angle)
-
-    nothing = (None, None)
     return [
-        {
-            "sensor": name,
-            "shift x, m": shown((one.shift or nothing)[0], (one.shift_std or nothing)[0]),
-            "y, m": shown((one.shift or nothing)[1], (one.shift_std or nothing)[1]),
-            "rotation, °": shown(degrees(one.rotation), degrees(one.rotation_std)),
-            "angle bias, °": shown(degrees(one.angle_bias), degrees(one.angle_bias_std)),
-            "clock, s": shown(one.clock_offset, one.clock_offset_std),
-        }
+        {"sensor": name, **{key: shown(*values) for key, values in shown_values(one).items()}}
         for name, one in sensors.items()
     ]
 

@@ -26,6 +26,7 @@ from graphtrack.inference.offline import solve_each
 from graphtrack.io.options import FileReading
 from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.learning.alignment import aligned, joined, ways_of
+from graphtrack.learning.sensor_rates import identities_of, noise_scales, with_rates
 from graphtrack.model import Model
 from graphtrack.model.given import covariances_of, observed_direction, velocity_covariances_of
 from graphtrack.model.observation import OWN
@@ -88,13 +89,14 @@ def learn_sensors(
 ) -> SensorScene:
     """Learn the errors of sensors with their standard deviations, from the people whom they observe.
 
+    Their detection probabilities, densities of false detections and scales of declared noise are learned too.
     Errors are relative to the first sensor that is described, else to that of the first row: its own are what
     they are known to be, or 0.
 
     Parameters
     ----------
     detections : rows of several sensors on the ground, as in `associate`, and not corrected
-    known : descriptions, or their file; errors that they have are not learned
+    known : descriptions, or their file; what they have is not learned
     model : as in `solve`; by default "joint"
     identities : "shared", of people; "own", of the tracker of each sensor; "none". By default "shared" where
         rows have identities
@@ -121,18 +123,24 @@ def learn_sensors(
     given = identities or ("shared" if rows.has_identity else "none")
     if given == "shared":
         learning.run(rows, progress)
-        return SensorScene(described | learning.found())
-    alone = rows if given == "own" else with_own_identities(rows, scene)
+        return SensorScene(described | with_rates(rows, identities_of(rows), learning.found()))
+    own = rows.track_id if given == "own" else own_identities(rows, scene)
+    here = np.flatnonzero(own >= 0)
+    alone = replace(rows, track_id=own, has_identity=True, labels={}).taken(here)
     learning.align(alone)
+    identity = own
     for _ in range(_ASSOCIATIONS):
-        joined_rows = with_repaired_identities(corrected(_with_index(alone), learning.found()), scene)
+        found = learning.found()
+        joined_rows = with_repaired_identities(corrected(_with_index(alone), found), scene, found)
         index = joined_rows.channels[_ROW].astype(int)
         learning.run(replace(alone.taken(index), track_id=joined_rows.track_id, labels={}), progress)
-    return SensorScene(described | learning.found())
+        identity = np.full(len(rows), -1)
+        identity[here[index]] = joined_rows.track_id
+    return SensorScene(described | with_rates(rows, identity, learning.found()))
 
 
-def with_own_identities(rows: Rows, scene: GivenScene = None) -> Rows:
-    """Return the rows of each sensor with the identities of its own people; false detections are left out."""
+def own_identities(rows: Rows, scene: GivenScene = None) -> NDArray[np.int64]:
+    """Return the identity (n,) of each row among the people of its own sensor; −1: a false detection."""
     assert rows.sensor is not None
     found, index = np.full(len(rows), -1), _with_index(rows)
     for name in dict.fromkeys(rows.sensor.tolist()):
@@ -140,7 +148,7 @@ def with_own_identities(rows: Rows, scene: GivenScene = None) -> Rows:
         alone = with_identities(replace(index.taken(here), sensor=None), scene)
         found[alone.channels[_ROW].astype(int)] = alone.track_id
     found[found >= 0] += 1
-    return replace(rows, track_id=found, has_identity=True, labels={}).taken(np.flatnonzero(found >= 0))
+    return found
 
 
 def _with_index(rows: Rows) -> Rows:
@@ -199,15 +207,15 @@ class _Learning:
         self._free[:, BIAS] &= has_angles
         self.errors = np.array([errors_of(self._sensors[name]) for name in names])
         self.std = np.zeros(self.errors.shape)
+        self._unscaled = {name for name, one in self._sensors.items() if one.position_scale is None}
 
     def found(self) -> dict[str, Sensor]:
         """Return the descriptions with the errors, and their 1-σ where they were learned."""
-        return {
-            name: with_errors(
-                self._sensors[name], self.errors[k], np.where(self._free[k], self.std[k], np.nan)
-            )
-            for k, name in enumerate(self._names)
-        }
+        found = {}
+        for k, name in enumerate(self._names):
+            std = np.where(self._free[k], self.std[k], np.nan)
+            found[name] = with_errors(self._sensors[name], self.errors[k], std)
+        return found
 
     def _numbers(self, rows: Rows) -> NDArray[np.int64]:
         """Return the number (n,) of each row's sensor."""
@@ -239,6 +247,20 @@ class _Learning:
             if self.step():
                 break
         progress(_ROUNDS, _ROUNDS)
+        self._learn_noise()
+
+    def _learn_noise(self) -> None:
+        """Learn the scales of declared noise that are unknown, and the errors once more with them."""
+        tracks, found = self._smoothed(corrected(self._rows, self._described()))
+        pairs = [
+            (track, one.track) for track, one in zip(tracks, found, strict=True) if isinstance(one, Solution)
+        ]
+        scales = noise_scales(*zip(*pairs, strict=True)) if pairs else {}
+        for name in self._unscaled & scales.keys():
+            one = self._sensors[name]
+            self._sensors[name] = replace(one, position_scale=scales[name] * (one.position_scale or 1.0))
+        if self._unscaled & scales.keys():
+            self.step()
 
     def step(self) -> bool:
         """Correct the rows, smooth the people, and learn the errors again; return whether they settled."""
@@ -282,8 +304,8 @@ class _Learning:
             errors[:, :CLOCK] += change[:, :CLOCK]
         return {name: with_errors(self._sensors[name], errors[k]) for k, name in enumerate(self._names)}
 
-    def _people_of(self, rows: Rows) -> _People:
-        """Return the model with the noise, and the people's constants, as learned from corrected rows."""
+    def _smoothed(self, rows: Rows) -> tuple[TrackSet, list[Any]]:
+        """Return tracks, and their solutions with constants that are learned from them."""
         tracks = TrackSet.from_rows(rows).map(with_position_noise)
         engine = engine_of(self._model, "auto")
         make_solver_ready(self._model, engine, None, REHEARSAL)
@@ -291,7 +313,11 @@ class _Learning:
         def solve(some: TrackSet, model: Model, own: Any, done: Any) -> list[Any]:
             return solve_each(some, model, engine, personal=own)
 
-        found, _ = solve_learned(tracks, self._model, solve)
+        return tracks, solve_learned(tracks, self._model, solve)[0]
+
+    def _people_of(self, rows: Rows) -> _People:
+        """Return the model with the noise, and the people's constants, as learned from corrected rows."""
+        _, found = self._smoothed(rows)
         solved = [one for one in found if isinstance(one, Solution) and one.constants is not None]
         if not solved:
             raise InputError("no person who can be smoothed", "rows with positions", path=rows.path)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +12,18 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.content import DataTable, Section
 from graphtrack.report.lives import Pair, finite_rows
 from graphtrack.report.style import group_colour
+from graphtrack.tracks.sensor_errors import shown_values
 from graphtrack.tracks.sensors import Sensor, Sensors, outline_of
 
 _FEWEST = 3
 """Fewest positions that a field of view is learned from."""
+
+
+_NOTE = (
+    "Errors of the ground frame, the angles and the clock, each with its 1-σ where it was learned. Noise is "
+    "a multiple of what is declared; detected is the probability for a person in view, and false the false "
+    "detections, in a scan."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,31 +100,14 @@ def sensors_section(shown: Sequence[ShownSensor], described: Sensors | None = No
         for one in shown
     ]
     columns = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    note = "Errors of the ground frame, the angles and the clock, each with its 1-σ where it was learned."
-    note = note if len(columns) > 2 else "No errors of sensors were described or learned."
+    note = _NOTE if len(columns) > 2 else "No errors of sensors were described or learned."
     table = DataTable.of("Sensors", [{name: row[name] for name in columns} for row in rows], note)
     return (Section("Sensors", (table,)),)
 
 
-def _errors(sensor: Sensor) -> dict[str, Any]:
+def _errors(sensor: Sensor) -> dict[str, float | None]:
     """Return the errors of a sensor by column of the table; None: unknown."""
-
-    def degrees(angle: float | None) -> float | None:
-        return None if angle is None else math.degrees(angle)
-
-    def milliseconds(seconds: float | None) -> float | None:
-        return None if seconds is None else 1e3 * seconds
-
-    shift, spread = (one or (None, None) for one in (sensor.shift, sensor.shift_std))
-    return {
-        "shift x (m)": shift[0],
-        "± x (m)": spread[0],
-        "shift y (m)": shift[1],
-        "± y (m)": spread[1],
-        "rotation (°)": degrees(sensor.rotation),
-        "± rotation (°)": degrees(sensor.rotation_std),
-        "angles (°)": degrees(sensor.angle_bias),
-        "± angles (°)": degrees(sensor.angle_bias_std),
-        "clock (ms)": milliseconds(sensor.clock_offset),
-        "± clock (ms)": milliseconds(sensor.clock_offset_std),
-    }
+    found: dict[str, float | None] = {}
+    for name, (value, std) in shown_values(sensor).items():
+        found |= {name: value, f"± {name.removeprefix('shift ')}": std}
+    return found

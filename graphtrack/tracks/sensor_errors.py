@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -39,3 +40,25 @@ def with_errors(sensor: Sensor, errors: FloatArray, std: FloatArray | None = Non
     names = ("rotation", "angle_bias", "clock_offset")
     known = {f"{name}_std": given[name] for name in names if not math.isnan(given[name])}
     return replace(found, shift_std=None if math.isnan(sum(of_shift)) else of_shift, **known)
+
+
+def shown_values(sensor: Sensor) -> dict[str, tuple[float | None, float | None]]:
+    """Return the name with unit of each quantity that is learned → its value and its 1-σ; None: unknown."""
+
+    def degrees(*angles: float | None) -> Any:
+        return tuple(None if one is None else math.degrees(one) for one in angles)
+
+    def milliseconds(*times: float | None) -> Any:
+        return tuple(None if one is None else 1e3 * one for one in times)
+
+    shift, spread = (one or (None, None) for one in (sensor.shift, sensor.shift_std))
+    return {
+        "shift x (m)": (shift[0], spread[0]),
+        "shift y (m)": (shift[1], spread[1]),
+        "rotation (°)": degrees(sensor.rotation, sensor.rotation_std),
+        "angles (°)": degrees(sensor.angle_bias, sensor.angle_bias_std),
+        "clock (ms)": milliseconds(sensor.clock_offset, sensor.clock_offset_std),
+        "noise (×)": (sensor.position_scale, None),
+        "detected": (sensor.detection_probability, None),
+        "false (1/m²)": (sensor.false_density, None),
+    }

@@ -89,7 +89,8 @@ def test_scans_outside_of_a_field_of_view_are_no_misses() -> None:
     # On the way between the views there are many scans, and few misses.
     assert frames[across].min() > 20 and (missed[across] < 0.5 * frames[across]).all()
     views = Views.of(detections.position, detections.sensor, 2)
-    scene = scene_of(SceneParameters(), detections.step_seconds)._replace(views=views.heights)
+    scene = scene_of(SceneParameters(), detections.step_seconds)
+    scene = scene._replace(views=views.heights, weights=np.ones(2))
     for place in np.flatnonzero(across).tolist():
         m = int(linked[place])
         gap = int(frames[place])

@@ -54,7 +54,7 @@ def test_errors_are_found_within_what_is_stated(seed) -> None:
     errors, std = misses(found, scene)
     assert (np.abs(errors) < 4.0 * std).all()
     assert np.sqrt(np.mean((errors / std) ** 2)) < 1.6
-    assert found["south-west"] == replace(NO_ERRORS, pivot=found["south-west"].pivot)
+    assert errors_of(found["south-west"]).tolist() == [0.0] * len(ERRORS)
 
 
 def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
@@ -110,6 +110,27 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         step[1, place] = 1e-3
         numerical = (cost(step) - cost(-step)) / 2e-3
         assert found[1, place] == pytest.approx(numerical, rel=2e-3, abs=0.05), ERRORS[place]
+
+
+def test_noise_detection_and_false_detections_of_each_sensor_are_learned() -> None:
+    rng = np.random.default_rng(6)
+    walking = crossing(rng, people=10, seconds=15.0, fps=10.0)
+    scene = dict(list(square(rng).items())[:2])
+    scene["south-east"] = replace(
+        scene["south-east"], detection_probability=0.6, false_density=3e-3, position_scale=1.5
+    )
+    rows = pd.DataFrame(observe(walking, scene, rng=rng, identities="true").columns).drop(columns="true_id")
+    found = learn_sensors(rows, {"south-west": NO_ERRORS})
+    for name, sensor in scene.items():
+        one = found[name]
+        # Somebody behind another person is missed too.
+        assert -0.12 < one.detection_probability - sensor.detection_probability < 0.03
+        assert 0.7 < one.false_density / sensor.false_density < 1.6
+        assert abs(one.position_scale / (sensor.position_scale or 1.0) - 1.0) < 0.1
+    # What is described is kept.
+    given = replace(scene["south-east"], shift=None)
+    kept = learn_sensors(rows, {"south-west": NO_ERRORS, "south-east": given})["south-east"]
+    assert (kept.position_scale, kept.detection_probability, kept.false_density) == (1.5, 0.6, 3e-3)
 
 
 @pytest.mark.slow
