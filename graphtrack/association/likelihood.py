@@ -254,14 +254,18 @@ def appearance_ratio(appearance: FloatArray, k: int, m: int, scene: SceneRow) ->
 @compiled
 def angle_update(
     angle: float, prior_x: float, prior_y: float, noise: float, outliers: float
-) -> tuple[float, float, float]:
-    """Return the log ratio of an observed angle (rad, or NaN), and the vector that it adds to a direction.
+) -> tuple[float, float, float, float]:
+    """Return the log ratio of an observed angle (rad, or NaN), and what it makes of a direction.
+
+    The direction is multiplied by the second number, and the third and the fourth are added. An unexpected
+    angle is an outlier or a sudden turn, one as probable as the other: half of what was known is then
+    forgotten.
 
     ``prior_x``, ``prior_y``: expected direction, as long as its concentration; ``outliers``: share of random
     angles, 1: angles are not used.
     """
     if outliers >= 1.0 or math.isnan(angle):
-        return 0.0, 0.0, 0.0
+        return 0.0, 1.0, 0.0, 0.0
     kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
     if kappa > 1e-6:
         kappa = 1.0 / (1.0 / kappa + noise)
@@ -269,7 +273,8 @@ def angle_update(
         density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
         ratio = math.log(density + outliers)
         share = density / (density + outliers)
-    return ratio, share * math.cos(angle) / noise, share * math.sin(angle) / noise
+    kept = 0.5 * (1.0 + share)
+    return ratio, kept, kept * math.cos(angle) / noise, kept * math.sin(angle) / noise
 
 
 @compiled
@@ -293,12 +298,14 @@ def update_orientations(earlier: Row, before: State, later: Row, scene: SceneRow
         # At low speed the direction of travel is undefined.
         length = 1.0 / ((scene.heading_variance + state.vv / square) * math.sqrt(square))
         way_x, way_y = x + length * state.vx, y + length * state.vy
-    of_body, more_x, more_y = angle_update(later.body, way_x, way_y, scene.body_variance, scene.body_outliers)
-    state.body_x, state.body_y = x + more_x, y + more_y
-    of_head, more_x, more_y = angle_update(
+    of_body, kept, more_x, more_y = angle_update(
+        later.body, way_x, way_y, scene.body_variance, scene.body_outliers
+    )
+    state.body_x, state.body_y = kept * x + more_x, kept * y + more_y
+    of_head, kept, more_x, more_y = angle_update(
         later.head, head_x, head_y, scene.head_variance, scene.head_outliers
     )
-    state.head_x, state.head_y = head_x + more_x, head_y + more_y
+    state.head_x, state.head_y = kept * head_x + more_x, kept * head_y + more_y
     steer(later.body, scene.body_variance + scene.heading_variance, scene.body_outliers, state)
     steer(later.head, scene.head_variance + scene.gaze_variance, scene.head_outliers, state)
     return of_body + of_head
@@ -492,10 +499,10 @@ def start_track(first: Row, scene: SceneRow, state: State) -> float:
     state.x, state.y = first.x, first.y
     state.vx = state.vy = state.pv = 0.0
     state.pp, state.vv = first.variance, scene.speed_variance
-    _, state.body_x, state.body_y = angle_update(
+    _, _, state.body_x, state.body_y = angle_update(
         first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers
     )
-    _, state.head_x, state.head_y = angle_update(
+    _, _, state.head_x, state.head_y = angle_update(
         first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers
     )
     return scene.log_birth + first.birth + first.gain
