@@ -22,6 +22,7 @@ from sensor_scenes import (
     anonymous,
     coverage_of,
     error_of,
+    error_of_people,
     hand_over,
     hermes,
     identified,
@@ -169,8 +170,9 @@ def test_people_of_four_cameras_are_associated_and_errors_learned() -> None:
         rows = table_of(simulated)
         found = gt.learn_sensors(anonymous(rows), {"south-west": NO_ERRORS})
         tracks = gt.associate(anonymous(rows), sensors=found)
-        known = error_of(gt.smooth(identified(rows), sensors=scene))
-        ratios.append(error_of(gt.smooth(tracks)) / known)
+        known = gt.smooth(identified(rows), sensors=scene, resample=10.0)
+        ratios.append(error_of_people(gt.smooth(tracks, resample=10.0), simulated.truth))
+        ratios[-1] /= error_of_people(known, simulated.truth)
         # The identities of each camera's own tracker.
         own = table_of(observe(people, scene, identities="own", rng=np.random.default_rng(1000 + seed)))
         own = own[own.input_true_id >= 0]

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 import graphtrack as gt
 from graphtrack.evaluation.identities import judge, threshold_of
 from graphtrack.evaluation.matching import known_detections
+from graphtrack.evaluation.state_score import score_states
 from graphtrack.geometry.angles import rotated
 from graphtrack.simulation.crowd import crossing
 from graphtrack.simulation.sensors import SimulatedRows, observe
@@ -46,6 +47,16 @@ def error_of(tracks: Iterable[Track]) -> float:
     """Return the root mean square distance of estimates to the truth in the rows that have one, m."""
     squares = [np.sum((one.position - one.true_position) ** 2, axis=1) for one in tracks]
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
+
+def error_of_people(tracks: gt.TrackSet, people: gt.TrackSet) -> float:
+    """Return the root mean square error of people's positions at the times of the truth, m.
+
+    People are matched with estimates within 1 m at each time, as by ``graphtrack score``: a row that is
+    associated with another person counts in IDF1.
+    """
+    (position,) = (row for row in score_states(tracks, people).rows if row["quantity"] == "position")
+    return float(position["rmse"])
 
 
 def coverage_of(tracks: Iterable[Track]) -> float:
