@@ -92,7 +92,6 @@ QUICK = [
     (*KEPT[0], "pixels"),
     (*KEPT[1], "pixels"),
     (*KEPT[2], "pixels"),
-    (*KEPT[3], "classes"),
 ]
 
 
@@ -133,7 +132,7 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
     ("preset", "scene"),
     others_slow(
         [(preset, scene) for preset in ("separate", "joint") for scene in SCENES],
-        [("separate", "angles"), ("joint", "classes"), ("joint", "pixels")],
+        [("separate", "angles"), ("joint", "classes")],
     ),
 )
 def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, scene: str) -> None:
