@@ -64,7 +64,7 @@ far = st.floats(60.001, 1e10) | st.sampled_from([1e10, 3600.0, 86_400.0])
 
 
 @kinds
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(
     place=st.integers(1, 19),
     jump=far,
@@ -223,7 +223,7 @@ def test_what_is_kept_is_bounded_while_people_streams_and_time_go_on(
 ) -> None:
     monkeypatch.setattr(paths, "_CAPACITY", 64)  # anchors of forecasts, 4,096 at most
     people = stream(kind == "people", bounds=StreamBounds(forget_after=5.0), **OPTIONS[option])
-    frames = 100 if kind == "streams" else 160
+    frames = 64 if kind == "streams" else 120
     rows = coming_and_going(1, frames, streams=kind == "streams", step=1.0)
     if kind == "detections":
         rows = [{key: value for key, value in row.items() if key != "track_id"} for row in rows]
@@ -258,7 +258,7 @@ def test_streams_with_clocks_of_their_own_are_forgotten_by_what_elapses() -> Non
     """A clip after the other, each from 0 on, and one stream that goes on all the time at another time."""
     people = stream(False, bounds=StreamBounds(forget_after=5.0))
     most = 0
-    for clip in range(8):
+    for clip in range(6):
         for row in walkers(10, False, step=0.2):
             people.answers(1, json.dumps({**row, "stream": f"clip{clip}"}).encode())
         live = {"t": 1e6 + 2.0 * clip, "x": 0.0, "y": 0.0, "stream": "live"}
