@@ -19,9 +19,9 @@ KNOWN = {"longest_gap": 1.0}
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    """24 s of a square in three files, in the order of time, and whose each detection is."""
+    """30 s of a square in three files, in the order of time, and whose each detection is."""
     rng = np.random.default_rng(2)
-    detections, whose = packed_square(rng, people=12, frames=120, noise=0.05, square_metres=100.0)
+    detections, whose = packed_square(rng, people=12, frames=150, noise=0.05, square_metres=100.0)
     x, y = detections.position.T
     table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
     folder = tmp_path_factory.mktemp("square")
