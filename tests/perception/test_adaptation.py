@@ -35,9 +35,7 @@ def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
     arguments = write_street(pasted_street(12, np.random.default_rng(0)), folder / "street")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learning, "ROUNDS", 1)
-        done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
+    done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     return folder / "camera.npz", done.stdout + done.stderr
 
 
