@@ -63,12 +63,7 @@ SIZES = (1, 50, 100_000)
 @pytest.mark.parametrize(
     ("model", "layout", "batch_frames"),
     others_slow(
-        [
-            (model, one, size)
-            for model in ("position", "joint")
-            for one in LAYOUTS
-            for size in (1, 50, 100_000)
-        ],
+        [(model, one, size) for model in ("position", "joint") for one in LAYOUTS for size in SIZES],
         [
             *(("position", layout, size) for layout, size in zip(LAYOUTS, SIZES, strict=True)),
             *(("joint", layout, size) for layout, size in zip(LAYOUTS, (*SIZES[1:], 1), strict=True)),
