@@ -13,8 +13,8 @@ BIN := $(VENV)/bin
 # That is kept, whatever the caller's environment says: hundreds of tests begin a program of their own.
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
-# A worker more than processors: some tests wait for a service or a process.
-WORKERS := $(shell $(PYTHON) -c "import os; print(1 + (os.cpu_count() or 1))")
+# A worker a processor: each further one would import and collect all tests once more, on the same processors.
+WORKERS := $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal --durations 20 --durations-min 5
 .PHONY: demo docs load test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims results clean
 .DELETE_ON_ERROR:

@@ -20,7 +20,7 @@ if "tests/benchmarks" not in sys.argv:
 
 # CI has the same examples at every run, so that it fails on a change and not by chance. ``nightly`` (make
 # test-all) has new and more examples; those that fail are kept in .hypothesis and tried first next time.
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)
 settings.register_profile("nightly", deadline=None, max_examples=400, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 

@@ -22,7 +22,7 @@ SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1
 def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
     once, last = [], []
     for seed in range(2):
-        detections, whose = street(np.random.default_rng(seed), people=14, frames=80, miss=0.1, false=0.5)
+        detections, whose = street(np.random.default_rng(seed), people=10, frames=50, miss=0.1, false=0.5)
         at_once, revised, _ = run_online(detections)
         once.append(idf1(at_once, whose))
         last.append(idf1(revised, whose))
@@ -122,18 +122,18 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
 
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:
     rng, density, sizes = np.random.default_rng(0), [], []
-    start, velocity = 14.0 * rng.uniform(-1.0, 1.0, (20, 2)), rng.normal(0.0, 1.0, (20, 2))
+    start, velocity = 10.0 * rng.uniform(-1.0, 1.0, (10, 2)), rng.normal(0.0, 1.0, (10, 2))
     first = SceneParameters().acceleration_density
     for known in ({}, {"acceleration_density": 0.02}):
         association = OnlineAssociation(known)
-        for k in range(200):
-            seen = start + 0.1 * k * velocity + 0.02 * rng.standard_normal((20, 2))
+        for k in range(40 if known else 200):
+            seen = start + 0.1 * k * velocity + 0.02 * rng.standard_normal((10, 2))
             association.update(0.1 * k, seen)
             density.append(association.scene.acceleration_density)
             sizes.append(len(association.chains.t))
     assert 0.5 * first < density[40] < first and density[199] < 0.9 * density[40]
     assert set(density[200:]) == {0.02}
-    assert max(sizes[100:200]) <= max(sizes[:100]) + 20  # dropped detections bound the memory
+    assert max(sizes[100:200]) <= max(sizes[:100]) + 10  # dropped detections bound the memory
 
 
 def resident_mebibytes() -> float:
@@ -168,7 +168,7 @@ def test_the_memory_of_a_tracker_stays_flat(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize(
     ("hz", "noise"),
-    others_slow([(hz, std) for hz in (5.0, 10.0, 50.0) for std in (0.01, 0.1)], [(10.0, 0.01), (5.0, 0.1)]),
+    others_slow([(hz, std) for hz in (5.0, 10.0, 50.0) for std in (0.01, 0.1)], [(5.0, 0.1)]),
 )
 def test_two_people_far_apart_keep_their_identities_however_short_the_lag(hz: float, noise: float) -> None:
     rng, seconds = np.random.default_rng(5), 6.0

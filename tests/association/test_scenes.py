@@ -301,8 +301,8 @@ def test_triples_show_the_noise(hz: float, noise: float) -> None:
     assert 0.5 * noise < found < 1.8 * noise + 0.06
 
 
-QUICK = [(1.0, 10, 40.0), (25.0, 100, 4.0)]
-SIZES = [*QUICK, (2.5, 100, 40.0), (5.0, 10, 40.0), (25.0, 10, 20.0)]
+QUICK = [(1.0, 10, 40.0)]
+SIZES = [*QUICK, (25.0, 100, 4.0), (2.5, 100, 40.0), (5.0, 10, 40.0), (25.0, 10, 20.0)]
 CROWDS = [(hz, 1600, 20.0 / hz) for hz in (1.0, 5.0, 25.0)]
 
 
@@ -342,7 +342,7 @@ def test_a_false_start_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hz", "least"), others_slow([(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)], [(1.3333, 0.55), (2.0, 0.7)])
+    ("hz", "least"), others_slow([(1.3333, 0.55), (2.0, 0.7), (4.0, 0.85)], [(1.3333, 0.55)])
 )
 def test_a_dense_corridor_has_identities_at_low_rates(hz: float, least: float) -> None:
     detections, whose = corridor(hz)

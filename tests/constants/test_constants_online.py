@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from noisy_walkers import sideways, walker
+from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.constants.commons import Commons
@@ -44,7 +45,7 @@ def test_the_evidence_is_that_of_the_whole_track_at_once() -> None:
         np.testing.assert_allclose(getattr(evidence, f"{name}_diffusion"), turns, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", others_slow(ENGINES, ["chain", "isam2"]))
 def test_who_faces_the_path_is_told_from_who_does_not(engine: Any) -> None:
     ahead, _ = followed(walker(1, n=150), engine=engine)
     aside, found = followed(sideways(2, n=150), engine=engine)

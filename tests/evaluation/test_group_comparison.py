@@ -97,7 +97,15 @@ def test_wrong_methods_and_options_are_refused(scene: Party, labelled: Path, tmp
         assert done.returncode == 2 and str(wrong[-1] if len(wrong) > 2 else wrong[0]) in done.stderr
 
 
-@pytest.mark.parametrize("hidden", [(), ("body",), ("head",), ("body", "head")], ids="-".join)
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        pytest.param((), id="nothing"),
+        pytest.param(("body",), id="body", marks=pytest.mark.slow),
+        pytest.param(("head",), id="head", marks=pytest.mark.slow),
+        pytest.param(("body", "head"), id="body-head"),
+    ],
+)
 def test_groups_of_a_real_party_are_found_better_than_by_average_linkage(
     data_dir: Path, hidden: tuple[str, ...]
 ) -> None:

@@ -92,7 +92,6 @@ QUICK = [
     (*KEPT[0], "pixels"),
     (*KEPT[1], "pixels"),
     (*KEPT[2], "pixels"),
-    (*KEPT[3], "classes"),
 ]
 
 
@@ -133,7 +132,7 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
     ("preset", "scene"),
     others_slow(
         [(preset, scene) for preset in ("separate", "joint") for scene in SCENES],
-        [("separate", "angles"), ("joint", "classes"), ("joint", "pixels")],
+        [("separate", "angles"), ("joint", "classes")],
     ),
 )
 def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, scene: str) -> None:
@@ -193,16 +192,16 @@ def test_together_is_the_same_as_one_by_one(preset: str) -> None:
     people = SLOTS + 3 if preset == "joint" else 5  # more than one call takes
     alone, joined = ([OnlineSolver(preset, lag=1.0) for _ in range(people)] for _ in range(2))
     told = 0
-    for k, frame in enumerate(courses(people, 24)):
+    for k, frame in enumerate(courses(people, 16)):
         there = [person for person, one in enumerate(frame) if one is not None]
-        if k == 12:  # going on elsewhere makes no difference either
+        if k == 8:  # going on elsewhere makes no difference either
             joined = [OnlineSolver.from_state(one.state(), preset, lag=1.0) for one in joined]
         seen = [joined[person].usable(frame[person]) for person in there]
         estimates = OnlineSolver.update_together([joined[person] for person in there], seen)
         for person, estimate in zip(there, estimates, strict=True):
             assert_same(alone[person].update(frame[person]), estimate)
             told += estimate.status == "new"
-    assert told > 10 * people
+    assert told > 6 * people
 
 
 def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None:
@@ -248,9 +247,9 @@ def test_rows_together_are_answered_as_one_by_one() -> None:
     """Updates of repeated, out-of-sequence, new, invalid and forgotten people."""
     rng = np.random.default_rng(1)
     lines = []
-    for k in range(60):
+    for k in range(40):
         for person in rng.permutation(6).tolist():
-            t = 0.04 * (k - 3 * (rng.random() < 0.05)) + (100.0 if k > 40 else 0.0)
+            t = 0.04 * (k - 3 * (rng.random() < 0.05)) + (100.0 if k > 26 else 0.0)
             row = {"track_id": person, "frame": k, "t": t, "x": float(k), "y": float(person)}
             row |= {"head_deg": 20 * person} if rng.random() < 0.5 else {}
             row |= {"x": "?"} if rng.random() < 0.02 else {"other": 1} if rng.random() < 0.02 else {}

@@ -110,10 +110,12 @@ def test_rows_a_hair_apart_equal_the_kalman_smoother(engine, preset, std, densit
 
 
 @pytest.mark.parametrize(
-    ("sign", "first"),
-    others_slow([(1.0, 0.0), (-1.0, 1.7e9), (1.0, 1.7e9), (-1.0, 0.0)], [(1.0, 0.0), (-1.0, 1.7e9)]),
+    ("engine", "sign", "first"),
+    others_slow(
+        [(engine, sign, first) for engine in ENGINES for sign in (1.0, -1.0) for first in (0.0, 1.7e9)],
+        [("chain", 1.0, 0.0), ("chain", -1.0, 1.7e9), ("fixed-lag", -1.0, 1.7e9), ("isam2", 1.0, 1.7e9)],
+    ),
 )
-@pytest.mark.parametrize("engine", ENGINES)
 def test_a_second_sensor_online_equals_the_kalman_filter(engine, sign, first) -> None:
     density, std = 0.15, (0.1, 0.02)
     for apart in APART:
@@ -437,7 +439,10 @@ WITH = [(engine, options) for options in OPTIONS for engine in ENGINES]
 
 
 @pytest.mark.parametrize(
-    ("engine", "options"), others_slow(WITH, [one for one in WITH if one != ("isam2", {})])
+    ("engine", "options"),
+    others_slow(
+        WITH, [("chain", {}), ("fixed-lag", {"constants": "default"}), ("isam2", {"model": "position"})]
+    ),
 )
 def test_two_sensors_at_one_time_online_are_one_in_either_order(engine, options) -> None:
     if engine == "isam2":

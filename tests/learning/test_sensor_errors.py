@@ -58,7 +58,7 @@ def test_errors_are_found_within_what_is_stated(seed) -> None:
 
 
 def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
-    rows, _ = recording(3, people=12, seconds=12.0, count=2)
+    rows, _ = recording(3, people=8, seconds=10.0, count=2)
     found = learn_sensors(rows, {"south-west": NO_ERRORS})
     tracks = gt.read(rows, sensors=found)
     tracks = tracks.with_tracks(one for one in tracks if len(one) > 40)

@@ -286,7 +286,7 @@ def run_with(code: Path, program: Path, **environment: str) -> tuple[int, str, l
     ("damage", "ending"),
     others_slow(
         [(one, ending) for one in DAMAGES for ending in (".nbi", ".nbc")],
-        [("empty", ".nbi"), ("noise", ".nbc")],
+        [("noise", ".nbc")],
     ),
 )
 def test_damaged_machine_code_is_replaced_with_one_line(kept_code, tmp_path, ending, damage) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from selection import others_slow
 from walks import walk
 
 import graphtrack as gt
@@ -173,7 +174,7 @@ def small_tracks() -> gt.TrackSet:
     return gt.TrackSet(tuple(hidden), camera=camera)
 
 
-@pytest.mark.parametrize("preset", sorted(presets))
+@pytest.mark.parametrize("preset", others_slow(sorted(presets), ["joint-intentional", "social"]))
 def test_estimates_are_finite_where_a_parameter_is_as_low_or_as_high_as_it_may_be(preset: str) -> None:
     tracks, own = small_tracks(), Model(preset).parameters
     for (table, key), limits in NUMBERS.items():

@@ -34,7 +34,7 @@ from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and its messages."""
     folder = tmp_path_factory.mktemp("adapted")
-    arguments = write_street(pasted_street(16, np.random.default_rng(0)), folder / "street")
+    arguments = write_street(pasted_street(12, np.random.default_rng(0)), folder / "street")
     done = ran("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     return folder / "camera.npz", done.stdout + done.stderr
 
@@ -137,7 +137,7 @@ def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, s
     share = CameraModels.load(path).class_outlier_probability
     graph = Model.named(path.with_name("graph.toml")).parameters.likelihood
     assert share is not None and graph.class_outlier_probability == pytest.approx(share)
-    for text in ("in 16 tracks", "boxes as given", "expected calibration error"):
+    for text in ("in 12 tracks", "boxes as given", "expected calibration error"):
         assert text in said
 
 

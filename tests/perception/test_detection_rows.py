@@ -97,7 +97,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
     """With appearance, from the journal to the table; the difference of two lengths."""
     rng = np.random.default_rng(4)
     kept = []
-    for count in (30, 130):
+    for count in (20, 70):
         journal = FrameJournal(tmp_path / f"{count}", "key", FrameObservation)
         journal.open()
         tracemalloc.start()
@@ -118,7 +118,7 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
         assert rows == 3 * count
         journal.close()
         del found
-    assert (kept[1] - kept[0]) / (3 * 100) < 1000.0
+    assert (kept[1] - kept[0]) / (3 * 50) < 1000.0
 
 
 def seen(frame: int, left: float) -> PersonObservation:

@@ -212,6 +212,7 @@ def test_people_are_found_and_what_is_taught_helps(
     assert min(after) > 0.7
 
 
+@pytest.mark.slow
 def test_what_was_taught_holds_for_other_people(
     street: PastedStreet, candidates: dict[int, Candidates], little_teaches: None
 ) -> None:
@@ -231,13 +232,13 @@ def test_what_was_taught_holds_for_other_people(
     assert right[sure].mean() > 0.7 and right[p < 0.2].mean() < 0.2
 
 
-def test_nothing_is_taught_where_nobody_walks(
-    street: PastedStreet, candidates: dict[int, Candidates]
-) -> None:
-    still = dict.fromkeys(range(20), candidates[3])
+def test_nothing_is_taught_where_nobody_walks(street: PastedStreet, backgrounds: Backgrounds) -> None:
+    image = street.frames[3].image
+    assert image is not None
+    one = GroundSearch(street.camera, SIZE).candidates(image, backgrounds.at(street.frames[3].number))
+    still = dict.fromkeys(range(20), one)
     assert adapt_to_recording(still, street.camera, FPS, np.random.default_rng(0)) is None
     assert adapt_to_recording({}, street.camera, FPS, np.random.default_rng(0)) is None
-    one = candidates[3]
     none = Candidates(one.foot[:0], one.height[:0], one.score[:0], one.features[:0])
     assert adapt_to_recording({0: none}, street.camera, FPS, np.random.default_rng(0)) is None
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 from graphtrack.geometry.angles import difference, wrap
 from perception.models import load_keypoint_pose
@@ -109,7 +110,7 @@ def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> N
     assert p[:, back].sum(axis=1).mean() > 0.7
 
 
-@pytest.mark.parametrize("rendered", [False, True])
+@pytest.mark.parametrize("rendered", others_slow([False, True], [False]))
 def test_likelihoods_are_calibrated(rendered: bool) -> None:
     rng = np.random.default_rng(11)
     people = make_rendered_skeletons(600, rng) if rendered else make_skeletons(6000, rng)

@@ -146,7 +146,9 @@ def test_a_run_that_breaks_off_goes_on(
     assert (tmp_path / "out" / "tracks.csv").read_bytes() == (reported[0] / "tracks.csv").read_bytes()
 
 
-@pytest.mark.parametrize(("method", "asks"), [("particle", 0), ("chain", 1)])
+@pytest.mark.parametrize(
+    ("method", "asks"), [pytest.param("particle", 0, marks=pytest.mark.slow), ("chain", 1)]
+)
 def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
     method: str,
     asks: int,

@@ -19,9 +19,9 @@ KNOWN = {"longest_gap": 1.0}
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    """40 s of a square in three files, in the order of time, and whose each detection is."""
+    """30 s of a square in three files, in the order of time, and whose each detection is."""
     rng = np.random.default_rng(2)
-    detections, whose = packed_square(rng, people=12, frames=200, noise=0.05, square_metres=100.0)
+    detections, whose = packed_square(rng, people=12, frames=150, noise=0.05, square_metres=100.0)
     x, y = detections.position.T
     table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
     folder = tmp_path_factory.mktemp("square")
@@ -36,7 +36,7 @@ def in_blocks(seen: Seen, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     path = tmp_path_factory.mktemp("blocks") / "found.parquet"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("graphtrack.scale.dataset.BLOCK", 100)
-        outcome = associate_dataset(seen[0], path, KNOWN, block_rows=400)
+        outcome = associate_dataset(seen[0], path, KNOWN, block_rows=250)
     assert outcome.blocks >= 5
     return path, outcome
 
@@ -77,7 +77,7 @@ def test_blocks_may_be_associated_anywhere(
     pytest.importorskip("distributed")
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
     there = tmp_path / "there.parquet"
-    associate_dataset(seen[0], there, KNOWN, block_rows=400, cluster="local", jobs=2)
+    associate_dataset(seen[0], there, KNOWN, block_rows=250, cluster="local", jobs=2)
     assert in_blocks[0].read_bytes() == there.read_bytes()
 
 
@@ -99,7 +99,7 @@ def test_the_command_associates_and_smooths_what_has_no_identities(
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)
     model, output = tmp_path / "model.toml", tmp_path / "smoothed.parquet"
     gt.Model("position", scene=KNOWN).save(model)
-    options = ("-o", output, "--model", model, "--batch-frames", 400)
+    options = ("-o", output, "--model", model, "--batch-frames", 250)
     done = ran("smooth", seen[0], *options, program="graphtrack")
     found, outcome = in_blocks
     detections, blocks = f"{outcome.n_detections} detections", f"{outcome.blocks} blocks"
@@ -121,9 +121,9 @@ def test_times_from_a_frame_rate(seen: Seen, tmp_path: Path, monkeypatch: pytest
     options, scene = gt.ReadOptions(fps=5.0), {"longest_gap": 1.05}
     found, expected = tmp_path / "found.parquet", tmp_path / "expected.parquet"
     ours = associate_dataset(
-        tmp_path / "timeless.parquet", found, scene, block_rows=400, read_options=options
+        tmp_path / "timeless.parquet", found, scene, block_rows=250, read_options=options
     )
-    theirs = associate_dataset(tmp_path / "timed.parquet", expected, scene, block_rows=400)
+    theirs = associate_dataset(tmp_path / "timed.parquet", expected, scene, block_rows=250)
     assert ours == theirs and ours.n_detections == len(whole) and ours.blocks >= 5
     np.testing.assert_array_equal(pd.read_parquet(found).track_id, pd.read_parquet(expected).track_id)
 

@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from selection import others_slow
 from walks import walk, without
 
 import graphtrack as gt
@@ -56,11 +57,19 @@ LAYOUTS = {
     "by frame": lambda table: table.sort_values(["frame", "track_id"], kind="stable"),
     "in any order": shuffled,
 }
+SIZES = (1, 50, 100_000)
 
 
-@pytest.mark.parametrize("model", ["position", "joint"])
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("batch_frames", [1, 50, 100_000])
+@pytest.mark.parametrize(
+    ("model", "layout", "batch_frames"),
+    others_slow(
+        [(model, one, size) for model in ("position", "joint") for one in LAYOUTS for size in SIZES],
+        [
+            *(("position", layout, size) for layout, size in zip(LAYOUTS, SIZES, strict=True)),
+            *(("joint", layout, size) for layout, size in zip(LAYOUTS, (*SIZES[1:], 1), strict=True)),
+        ],
+    ),
+)
 def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, tmp_path, monkeypatch):
     # Small row groups and blocks, so that tracks span them on both sides.
     monkeypatch.setattr("graphtrack.io.formats.native.ROW_GROUP", 64)

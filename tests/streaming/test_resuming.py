@@ -94,7 +94,7 @@ OTHER_ENGINES = {
     for engine in ("fixed-lag", "isam2")
     for name, case in CASES.items()
 }
-EVERY_TIME = ["everything", "known scene, isam2"]
+EVERY_TIME = [("everything", False), ("known scene, isam2", True)]
 
 
 def rows(case: Case, *, identified: bool) -> list[dict[str, Any]]:
@@ -130,8 +130,10 @@ def parts(given: list[Any], *, within_a_frame: bool = False) -> tuple[list[Any],
 both_kinds = pytest.mark.parametrize("identified", [True, False], ids=["identities", "detections"])
 
 
-@both_kinds
-@pytest.mark.parametrize("name", others_slow({**CASES, **OTHER_ENGINES}, EVERY_TIME))
+@pytest.mark.parametrize(
+    ("name", "identified"),
+    others_slow([(name, kind) for name in (*CASES, *OTHER_ENGINES) for kind in (True, False)], EVERY_TIME),
+)
 def test_the_command(name: str, identified: bool, cwd: Path) -> None:
     case = {**CASES, **OTHER_ENGINES}[name]
     case.write_files(cwd)
@@ -219,7 +221,7 @@ def test_a_tracker(name: str, cwd: Path) -> None:
 @pytest.mark.parametrize(
     "scene",
     [
-        pytest.param({"clutter_density": 1e-4, "look_ahead": 6}, id="some"),
+        pytest.param({"clutter_density": 1e-4, "look_ahead": 6}, id="some", marks=pytest.mark.slow),
         pytest.param(SceneParameters(death_rate=0.1), id="all", marks=pytest.mark.slow),
         pytest.param(None, id="none"),
     ],
@@ -244,14 +246,18 @@ def assert_tracker_continues(
             assert resumed.scene == whole.scene
 
 
+WITHOUT_ANSWERS = [
+    name for name, case in CASES.items() if not (case.groups or case.attention or case.forecast)
+]
+
+
 @pytest.mark.parametrize(
-    "name",
+    ("name", "engine"),
     others_slow(
-        [name for name, case in CASES.items() if not (case.groups or case.attention or case.forecast)],
-        ["separate", "camera"],
+        [(name, engine) for name in WITHOUT_ANSWERS for engine in ("chain", "fixed-lag")],
+        [("separate", "fixed-lag"), ("camera", "chain")],
     ),
 )
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
 def test_a_smoother(name: str, engine: Any, cwd: Path) -> None:
     case = replace(CASES[name], engine=engine)
     case.write_files(cwd)

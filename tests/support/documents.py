@@ -26,6 +26,7 @@ SHORTER = {
     "graphtrack simulate -o tracks.csv": "--steps 60",
     "graphtrack simulate -o party.csv": "--steps 12",
     "perception simulate -o clip": "--frames 4",
+    "graphtrack simulate --scene crossing": "--steps 60",
     "graphtrack demo": "--seconds 12",
 }
 """Added to lines that begin so, unless what takes minutes is run too."""

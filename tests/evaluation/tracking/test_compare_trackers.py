@@ -41,7 +41,7 @@ NONE = np.empty(0, np.int64)
 def scene() -> DetectedScene:
     rng = np.random.default_rng(11)
     faults = Detector(missed=0.1, clutter=0.5)
-    found = detect(crowd(rng, seconds=40.0), faults, position_std=0.1, rng=rng)
+    found = detect(crowd(rng, seconds=32.0), faults, position_std=0.1, rng=rng)
     table = found.anonymous(rng)
     position = np.column_stack([table["x"], table["y"]])
     return DetectedScene(Detections(table["frame"], table["t"], position), found.truth)
