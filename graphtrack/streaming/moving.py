@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.poses import PosePath
 from graphtrack.io.formats.ndjson import Pairs, unique
 from graphtrack.model import Observation
-from graphtrack.model.observation import CHANNELS, observation_at
+from graphtrack.model.observation import channels_of, observation_at
 from graphtrack.saved import check_numbers, count, real
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.tracks.moving import EVERY, UNDECLARED, channels_in_world, nearby
@@ -194,11 +194,8 @@ class MovingSensors:
             t, x, y, yaw, *variances = np.array(self._poses[name]).T
             covariance = np.array(variances).T[:, :, None] * np.eye(3)
             self._paths[name] = PosePath(t, x, y, yaw, covariance)
-        given = {
-            channel: np.array([value])
-            for channel in CHANNELS
-            if channel != "pixel" and (value := getattr(observation, channel)) is not None
-        }
+        given = channels_of(observation)
+        given.pop("pixel", None)
         try:
             repeats = self._repeats(name, observation.t)
             t = np.array([observation.t])

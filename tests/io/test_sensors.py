@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 import graphtrack as gt
 from graphtrack import InputError
 from graphtrack.io.sensors import SensorScene
+from graphtrack.model import Observation
+from graphtrack.model.observation import CHANNELS, observation_at, without_errors
 from graphtrack.tracks.sensors import (
     MOVED_PIXELS,
     Sensor,
@@ -382,6 +384,29 @@ def test_descriptions_in_python_are_checked_too() -> None:
     for given_ in ({"a": 3}, {"a\nb": Sensor()}, 7):
         with pytest.raises(InputError):
             SensorScene.of(given_)
+
+
+@given(sensors(position_std=0.3))
+def test_an_observation_is_corrected_as_a_row(sensor: Sensor) -> None:
+    rows = rows_of(3, names=("a",))
+    rng = np.random.default_rng(0)
+    likelihood = rng.dirichlet(np.ones(8), len(rows))
+    rows = rows.with_channels(body_likelihood=likelihood)
+    rows.channels["position_std"][::3] = np.nan
+    rows.channels["position_covariance"][::3] = np.nan
+    expected = corrected(rows, {"a": sensor})
+
+    def observation(given_: Rows, k: int) -> Observation:
+        channels = {name: given_.channels[name] for name in CHANNELS if name in given_.channels}
+        inputs = {"distance": given_.channels["input_distance"]}
+        return observation_at(k, float(given_.channels["t"][k]), 5, channels, inputs, "a")
+
+    for k in range(len(rows)):
+        one, other = without_errors(observation(rows, k), sensor), observation(expected, k)
+        if one.position is None and other.position_std != one.position_std:
+            other = replace(other, position_std=one.position_std)
+        for name in vars(one):
+            assert getattr(one, name) == getattr(other, name), name
 
 
 # Reading
