@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from hashlib import sha256
 from types import MappingProxyType
 from typing import Any, Literal, Self, TypeAlias
 
@@ -315,6 +317,12 @@ Sensors: TypeAlias = Mapping[str, Sensor]
 """Name of a sensor → its description."""
 
 NO_SENSORS: Sensors = MappingProxyType({})
+
+
+def digest_of(sensors: Sensors) -> str:
+    """Return text that is the same for equal descriptions, without keys for simulation alone; "" for none."""
+    tables = {name: replace(one, simulation=None).to_table() for name, one in sensors.items()}
+    return sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()[:16] if tables else ""
 
 
 def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> BoolArray:
