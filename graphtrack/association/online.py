@@ -40,7 +40,7 @@ from graphtrack.association.scene import (
 from graphtrack.association.sensors import (
     BETWEEN_SCANS,
     Views,
-    has_whole_view,
+    describes_view,
     with_longest_gap,
     with_views,
     with_zeros,
@@ -333,7 +333,7 @@ class OnlineAssociation(Moves, Saved):
     def _widen_views(self, position: FloatArray, sensor: IntArray) -> None:
         """Extend the fields of view that are not described to places (n, 2), each of one sensor (n,)."""
         if self._described:
-            learned = np.array([not has_whole_view(one) for one in self._descriptions])
+            learned = np.array([not describes_view(one) for one in self._descriptions])
             position, sensor = position[learned[sensor]], sensor[learned[sensor]]
         self._views = self._views.reaching(position, sensor)
 

@@ -123,7 +123,7 @@ class Views:
     def with_sensor(self, described: Sensor = Sensor()) -> Views:
         """Return these with a further sensor, which has detected nothing."""
         of_one = Views.of(np.zeros((0, 2)), np.zeros(0, np.int64), 1, [described])
-        heights = of_one.heights if has_whole_view(described) else np.full((1, len(COMPASS)), -np.inf)
+        heights = of_one.heights if describes_view(described) else np.full((1, len(COMPASS)), -np.inf)
         return Views(np.vstack([self.heights, heights]))
 
     def reaching(self, position: FloatArray, sensor: IntArray) -> Views:
@@ -172,7 +172,7 @@ class Views:
         return shares
 
 
-def has_whole_view(sensor: Sensor) -> bool:
+def describes_view(sensor: Sensor) -> bool:
     """Return whether the field of view of a sensor at rest is described, without what it has detected."""
     return not sensor.moves and (sensor.field_of_view is not None or sensor.range is not None)
 

@@ -32,21 +32,21 @@ class _Order:
     ----------
     clock : of the true times
     newest : clock offset → newest true time of the sensors that have it
-    stated : newest time of a row as its sensor states it
+    uncorrected : newest time in a row, by the clock of its sensor
     held : lines that wait, by their true times
     jumped : lines of implausible times, which the next line confirms or not
     """
 
     clock: StreamClock
     newest: dict[float, float] = field(default_factory=dict)
-    stated: float = -math.inf
+    uncorrected: float = -math.inf
     held: list[Waiting] = field(default_factory=list)
     jumped: list[Waiting] = field(default_factory=list)
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""
         found: dict[str, Any] = {"clock": self.clock.state(), "newest": [*self.newest.items()]}
-        found["stated"] = None if self.stated == -math.inf else self.stated
+        found["uncorrected"] = None if self.uncorrected == -math.inf else self.uncorrected
         found |= {name: [one.state() for one in getattr(self, name)] for name in ("held", "jumped")}
         return found
 
@@ -54,7 +54,7 @@ class _Order:
         """Take over a `state`."""
         self.clock.restore(state["clock"])
         self.newest = {real(offset): real(t) for offset, t in state["newest"]}
-        self.stated = -math.inf if state["stated"] is None else real(state["stated"])
+        self.uncorrected = -math.inf if state["uncorrected"] is None else real(state["uncorrected"])
         self.held = [*map(Waiting.from_state, state["held"])]
         self.jumped = [*map(Waiting.from_state, state["jumped"])]
 
@@ -62,10 +62,10 @@ class _Order:
 class DescribedSensors:
     """Removes the known errors of sensors from a stream's observations, and orders its rows by true times.
 
-    With different clock offsets the rows of a stream are in the order of stated or of true times. A row
-    waits until no earlier one can come: until each clock has given a row at its time or later, or the stated
-    times are ahead of it by the largest offset. So it waits no longer than the offsets differ, and not at
-    all if they are equal.
+    With different clock offsets the rows of a stream come in the order of true times or of the times in the
+    rows. A row waits until no earlier one can come: until each clock has given a row at its time or later, or
+    the times in the rows are ahead of it by the largest offset. So it waits no longer than the offsets
+    differ, and not at all if they are equal.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class DescribedSensors:
         ----------
         number, line, group : as in `MovingSensors.hold`
         sensor : of the line; None for the end of a frame of all sensors
-        t : seconds, as the sensor states them
+        t : seconds, by the clock of the sensor
 
         Raises
         ------
@@ -140,16 +140,16 @@ class DescribedSensors:
         if verdict == "confirmed":
             order.clock.confirm()
             found += order.held
-            order.held, order.newest, order.stated = [], {}, -math.inf
+            order.held, order.newest, order.uncorrected = [], {}, -math.inf
         found += order.jumped
         order.jumped = []
         order.clock.advance(one.t)
         order.newest[offset] = max(one.t, order.newest.get(offset, -math.inf))
-        order.stated = max(order.stated, t)
+        order.uncorrected = max(order.uncorrected, t)
         insort(order.held, one, key=_time)
         offsets = self._offsets | order.newest.keys()
         complete = min(order.newest.get(each, -math.inf) for each in offsets)
-        complete = max(complete, order.stated - max(offsets)) + TIME_TOLERANCE
+        complete = max(complete, order.uncorrected - max(offsets)) + TIME_TOLERANCE
         first = max(bisect_right(order.held, complete, key=_time), len(order.held) - MOST_WAITING)
         found += order.held[:first]
         del order.held[:first]

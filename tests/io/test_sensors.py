@@ -24,7 +24,6 @@ from graphtrack.tracks.sensors import (
     sees,
 )
 from graphtrack.tracks.table import Rows
-from graphtrack.tracks.track import TrackSet
 
 ANGLE = st.floats(-3.1, 3.1)
 METRES = st.floats(-50.0, 50.0)
@@ -500,24 +499,27 @@ def test_the_command_line_takes_a_description(table, tmp_path) -> None:
     assert done.returncode == 2 and SensorScene.load(scene)["b"] == LATE
 
 
-def test_a_stream_of_rows_takes_no_description(table, tmp_path) -> None:
-    SensorScene({"a": Sensor()}).save(tmp_path / "scene.toml")
-    done = run("track", "-", "--sensors", tmp_path / "scene.toml", program="graphtrack", rows=[])
-    assert done.returncode == 2 and "--sensors with -" in done.stderr
-    tracks: TrackSet = gt.read(table)
-    gt.write(tracks, tmp_path / "rows.parquet")
-    done = run(
-        *("smooth", tmp_path / "rows.parquet", "-o", tmp_path / "out.parquet", "--stream"),
-        *("--sensors", tmp_path / "scene.toml"),
-        program="graphtrack",
-    )
-    assert done.returncode == 2 and "--sensors when streaming" in done.stderr
-    from graphtrack.scale import associate_dataset, smooth_dataset
+def test_a_data_set_that_is_streamed_is_corrected_as_in_memory(table, tmp_path) -> None:
+    scene, whole = tmp_path / "scene.toml", tmp_path / "whole.parquet"
+    SensorScene({"a": Sensor(), "b": LATE}).save(scene)
+    rows, out = tmp_path / "rows.parquet", tmp_path / "out.parquet"
+    gt.write(gt.read(table), rows)
+    command = ("smooth", rows, "-o", out, "--stream", "--model", "position", "--constants", "default")
+    ran(*command, "--sensors", scene, program="graphtrack")
+    gt.write(gt.smooth(gt.read(rows, sensors=scene), "position", constants="default"), whole)
+    assert out.read_bytes() == whole.read_bytes()
+    scene.write_text("[sensors.a]\nshift = 3\n")
+    done = run(*command, "--sensors", scene, program="graphtrack")
+    assert done.returncode == 2 and "sensors.a.shift = 3" in done.stderr
 
-    options = gt.ReadOptions(sensors={"a": Sensor()})
-    with pytest.raises(InputError, match="sensors when streaming"):
-        smooth_dataset(tmp_path / "rows.parquet", tmp_path / "out.parquet", read_options=options)
-    bare = tracks.map(lambda one: replace(one[one.sensor == "a"], sensor=None))
-    gt.write(bare, tmp_path / "bare.parquet")
-    with pytest.raises(InputError, match="sensors when streaming"):
-        associate_dataset(tmp_path / "bare.parquet", tmp_path / "out.parquet", read_options=options)
+
+def test_detections_that_are_streamed_are_corrected_once(table, tmp_path) -> None:
+    scene, rows, out = tmp_path / "scene.toml", tmp_path / "rows.parquet", tmp_path / "out.parquet"
+    SensorScene({"": Sensor(shift=(5.0, 0.0), clock_offset=0.5)}).save(scene)
+    bare = gt.read(table).map(lambda one: replace(one[one.sensor == "a"], sensor=None))
+    gt.write(bare, rows)
+    command = ("smooth", rows, "-o", out, "--stream", "--associate", "always", "--model", "position")
+    ran(*command, "--constants", "default", "--sensors", scene, program="graphtrack")
+    (found,), (expected,) = gt.read(out), bare
+    np.testing.assert_allclose(found.t, expected.t - 0.5, atol=1e-9)
+    np.testing.assert_allclose(found.position, expected.position - [5.0, 0.0], atol=0.1)
