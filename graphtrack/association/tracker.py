@@ -322,8 +322,12 @@ class DetectionTracker(Saved):
 
     @property
     def t(self) -> float:
-        """The time of the last update, seconds: the true time, if the sensor's clock offset is described."""
-        return self._observations[self.updates - 1, UNSEEN].t
+        """The time of the last update, seconds: the true time, if the sensor's clock offset is described.
+
+        NaN before the first.
+        """
+        last = self._observations.get((self.updates - 1, UNSEEN))
+        return math.nan if last is None else last.t
 
     @property
     def descriptor_size(self) -> int:

@@ -136,6 +136,8 @@ class DescribedSensors:
         if verdict == "unconfirmed":
             order.clock.wait(None, Observation(one.t), 1)
             order.jumped.append(one)
+            if len(order.jumped) > MOST_WAITING:
+                found.append(order.jumped.pop(0))
             return found
         if verdict == "confirmed":
             order.clock.confirm()

@@ -27,7 +27,7 @@ from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
-from graphtrack.tracks.validation import APPEARANCE, INPUT
+from graphtrack.tracks.validation import APPEARANCE, INPUT, LARGEST_SECONDS
 
 LONGEST_LINE = 1 << 20
 """Largest number of bytes in a line."""
@@ -161,12 +161,12 @@ class Answering:
             t, sensor = given.get("t", given.get("end")), given.get("sensor") or ""
             if t is None and self.fps is not None and _is_number(given.get("frame")):
                 t = given["frame"] / self.fps
-            if _is_number(t) and isinstance(sensor, str):
+            if _is_number(t) and abs(t) <= LARGEST_SECONDS and isinstance(sensor, str):
                 group, is_end = self.group_of(given), "end" in given
                 if not described.has_clocks:
                     of_row = None if is_end else sensor
                     return self._without_held([Waiting(number, line, group, of_row, t)], answers)
-                of_clock = None if is_end and not sensor else sensor
+                of_clock = None if is_end and given.get("sensor") is None else sensor
                 ready = described.in_order(number, line, group, of_clock, t)
                 return self._without_held(ready, answers)
         except InputError as error:

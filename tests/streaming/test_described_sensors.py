@@ -135,6 +135,8 @@ def test_a_jump_of_time_and_a_gross_error_of_it_leave_the_order():
     found = answers_of([*rows[:30], wrong, *rows[30:]])
     assert [one["status"] for one in found].count("unconfirmed") == 1
     assert last_answers(one for one in found if one["status"] == "new") == last_answers(answers_of(rows))
+    found = answers_of([{**rows[0], "t": 1e300}, *rows])
+    assert "column t" in found[0]["error"] and len(found) == 1 + len(rows)
     later = [{**row, "t": row["t"] + 5000.0} for row in rows_of()]
     found = answers_of([*rows, *later])
     assert len(found) == 2 * len(rows) and found[-1]["t"] > 5000.0
@@ -190,6 +192,7 @@ def test_an_online_tracker_corrects_the_observations_of_described_sensors():
         assert [(one.track_id, one.t, *one.position) for one in found] == [
             (one.track_id, one.t, *one.position) for one in expected
         ]
+    assert math.isnan(gt.OnlineTracker("position").t)
     assert tracker.t == plain.t == pytest.approx(rows[-1]["t"] + 0.11)
     with pytest.raises(gt.InputError, match="a time in seconds"):
         tracker.update(rows[-1]["t"] - 0.5, [], "west")
