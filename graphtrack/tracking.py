@@ -36,6 +36,7 @@ from graphtrack.inference.engines import (
 from graphtrack.inference.state import Estimate, as_track
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.options import ReadingBase
+from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.kernels.compilation import Rehearsal, make_ready
 from graphtrack.model import Model, Observation
 from graphtrack.model.given import notes_on
@@ -45,6 +46,7 @@ from graphtrack.saved import integer
 from graphtrack.smoothing import Progress, lacks_groups
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.scene import GivenScene, known_values
+from graphtrack.tracks.sensors import NO_SENSORS
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -282,6 +284,10 @@ class OnlineTracker(DetectionTracker):
         rest are those of the model, else learned from the detections
     walkable : as in `OnlineSmoother`; `forecast` predicts no path that leaves it
     constants : as in `OnlineSmoother`; the people of the scene so far are the prior of the next
+    sensors : descriptions of sensors, by name or a file: a `SensorScene`. `update` removes their known errors
+        from the observations, and their clock offset from the time: scans come in the order of true times,
+        which the estimates have. Observations of sensors that move are taken as they are, in the world.
+        Described fields of view and rates of detection are used for identities
 
     Attributes
     ----------
@@ -306,6 +312,7 @@ class OnlineTracker(DetectionTracker):
         camera: GroundCamera | None = None,
         walkable: AreaLike | None = None,
         constants: Constants | None = None,
+        sensors: SensorsLike | None = None,
     ) -> None:
         chosen = Model.named(model)
         area = None if walkable is None else WalkableArea.of(walkable)
@@ -319,6 +326,7 @@ class OnlineTracker(DetectionTracker):
             groups=self._conversations,
             walkable=area,
             constants=constants,
+            sensors=NO_SENSORS if sensors is None else SensorScene.of(sensors),
         )
         self._scene = known_values(scene)
         self._forecaster: Forecaster | None = None
@@ -327,8 +335,10 @@ class OnlineTracker(DetectionTracker):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what it leaves out."""
-        made = partial(OnlineTracker.from_state, model=self.model, scene=self._scene, **self._options)
-        left_out = {name: copy(getattr(self, name)) for name in ("_frames", "_present", "revised", "newest")}
+        given = {"scene": self._scene, "sensors": dict(self._sensors), **self._options}
+        made = partial(OnlineTracker.from_state, model=self.model, **given)
+        names = ("_frames", "_present", "revised", "newest", "corrects")
+        left_out = {name: copy(getattr(self, name)) for name in names}
         return made, (self.state(),), left_out
 
     def update(
@@ -342,6 +352,7 @@ class OnlineTracker(DetectionTracker):
         Of a person in scans of several sensors at one time, forecasts use the first position.
         """
         people = super().update(t, detections, sensor)
+        t = self.t
         # Observed positions: a forecast estimates their noise itself.
         self._present = [one.track_id for one in people]
         latest, known = -math.inf, set[int]()

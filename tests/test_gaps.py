@@ -34,6 +34,38 @@ def test_rows_at_one_time_tell_no_rate(apart, step):
         assert usual_rate([(frame[:2], t[:2])]) == 0.0
 
 
+def named(track, sensor):
+    return replace(track, sensor=np.full(len(track), sensor))
+
+
+def test_gaps_of_one_named_sensor_are_filled_as_without_its_name():
+    there = np.isin(np.arange(60), [7, 8, 9, 30], invert=True)
+    tracks = gt.TrackSet((walk()[there], walk(seed=1, track_id=2)))
+    expected = filled(tracks)
+    found = filled(tracks.map(lambda one: named(one, "gate")))
+    assert found.n_frames == expected.n_frames == 120
+    for one, other in zip(found, expected, strict=True):
+        assert set(one.sensor.tolist()) == {"gate"}
+        np.testing.assert_array_equal(one.t, other.t)
+        np.testing.assert_array_equal(one.position, other.position)
+    # Of several sensors each counts its own frames, and so may one.
+    several = gt.TrackSet((named(tracks.tracks[0], "gate"), named(tracks.tracks[1], "door")))
+    assert filled(several).n_frames == several.n_frames
+    own = named(tracks.tracks[0], "gate")
+    own = gt.TrackSet((replace(own, frame=own.frame[::-1].copy()),))
+    assert filled(own).n_frames == own.n_frames
+
+
+def test_detections_of_one_named_sensor_have_rows_for_missed_frames():
+    whole = walk()
+    table = {"frame": whole.frame, "t": whole.t, "x": whole.position[:, 0], "y": whole.position[:, 1]}
+    table = {name: np.delete(values, [20, 21]) for name, values in table.items()}
+    (expected,) = gt.associate(table)
+    (found,) = gt.associate({**table, "sensor": np.full(58, "gate")})
+    assert len(found) == len(expected) == 60 and found.observed.sum() == 58
+    np.testing.assert_array_equal(found.t, expected.t)
+
+
 @given(st.sets(st.integers(1, 58), max_size=20))
 def test_rows_that_are_left_out_come_back_as_frames_without_observations(missing):
     whole = walk()

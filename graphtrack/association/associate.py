@@ -27,7 +27,14 @@ from graphtrack.io.read_write import (
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
 from graphtrack.tracks.display import listed
-from graphtrack.tracks.gaps import FASTEST, usual_rate, with_rows
+from graphtrack.tracks.gaps import (
+    FASTEST,
+    frames_increase,
+    has_several_sensors,
+    only_sensor,
+    usual_rate,
+    with_rows,
+)
 from graphtrack.tracks.given import AXES, position_noise
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
 from graphtrack.tracks.sensors import NO_SENSORS, Sensor, Sensors
@@ -237,10 +244,12 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
     ``longest_filled``: seconds of a gap that is filled
     """
-    if any(track.sensor is not None for track in tracks):
+    if has_several_sensors(tracks) or not all(map(frames_increase, tracks)):
         return tracks  # each sensor has frames of its own
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
+    if (np.diff(t) <= 0.0).any():  # the numbers of a sensor do not count time
+        return tracks
     step = frames_between(frames)
     return tracks.map(lambda track: _filled(track, frames, t, step, longest_filled))
 
@@ -255,7 +264,7 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest:
     inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
     frame = np.unique(np.concatenate([track.frame, *inside, *between]))
     times = np.interp(frame, frames, t)
-    return with_rows(track, frame, times)
+    return with_rows(track, frame, times, only_sensor(track, len(frame)))
 
 
 def associate(

@@ -40,6 +40,7 @@ from graphtrack.association.scene import (
 from graphtrack.association.sensors import (
     BETWEEN_SCANS,
     Views,
+    describes_view,
     with_longest_gap,
     with_views,
     with_zeros,
@@ -49,6 +50,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import OtherSettings, Saved
 from graphtrack.tracks.detections import APPEARANCE, Detections
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
+from graphtrack.tracks.sensors import NO_SENSORS, Sensor, Sensors, digest_of
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import LARGEST_SECONDS, bounds_of, is_number
 
@@ -152,16 +154,21 @@ class History(Saved):
         enough = self.frames >= frames * max(self.scans.shape[1], 1)
         return enough and self.people * more >= people and self.watched * more >= self.due
 
-    def learned(self, known: Known) -> LearnedScene:
-        """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores."""
+    def learned(self, known: Known, described: tuple[Sensor, ...] = ()) -> LearnedScene:
+        """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores.
+
+        ``described``: descriptions of the sensors so far, or none
+        """
         self.learnings += 1
         self.due = min(2.0 * self.watched, self.watched + RELEARNED)
         channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
         channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
         of_sensors: dict[str, Any] = {"sensor": self.sensor, "scans": self.scans}
+        if self.scans.shape[1]:
+            of_sensors["sensors"] = described
         detections = Detections(self.frame, self.t, self.position, channels, **of_sensors)
         if self.scans.shape[1]:
-            views = Views.of(self.position, self.sensor, self.scans.shape[1])
+            views = Views.of(self.position, self.sensor, self.scans.shape[1], described)
             detections = with_views(detections, views)
         found = learn_from_detections(detections, known)
         return replace(found, scene=self._with_guess(found.scene, known))
@@ -228,6 +235,7 @@ class OnlineAssociation(Moves, Saved):
     ----------
     scene : known parameters of birth, death and detection; the others are learned online
     lag : seconds within which decisions may be revised
+    described : name of a sensor → its description: field of view and rates of detection
     """
 
     _saved: ClassVar = {
@@ -254,11 +262,11 @@ class OnlineAssociation(Moves, Saved):
         "_recent": list[int],
     }
 
-    def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
+    def __init__(self, scene: GivenScene = None, lag: float = 2.0, described: Sensors = NO_SENSORS) -> None:
         if not lag > 0.0:
             raise InputError(f"lag = {lag}", "a positive number of seconds")
         make_association_ready()
-        self.known, self.lag = known_values(scene), lag
+        self.known, self.lag, self._described = known_values(scene), lag, described
         self.scene = SceneParameters(**self.known)
         empty, none = np.zeros(0), np.zeros(0, np.int64)
         nowhere = np.zeros((0, 2))
@@ -299,16 +307,35 @@ class OnlineAssociation(Moves, Saved):
             return 1.0
         return fmean(self._intervals) if len(self.sensors) > 1 else median(self._intervals)
 
+    def state(self) -> dict[str, Any]:
+        """Return the state to continue from, as JSON-able data; see `from_state`."""
+        digest = digest_of(self._described)
+        return super().state() | ({"described": digest} if digest else {})
+
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over a `state`; OtherSettings if its known parameters or its lag are others."""
-        own = {**self.known, "lag": self.lag}
+        """Take over a `state`; OtherSettings if its known parameters, lag or descriptions are others."""
+        of_sensors = "descriptions of sensors"
+        own = {**self.known, "lag": self.lag, of_sensors: digest_of(self._described) or None}
         super().restore(state)
-        saved = {**self.known, "lag": self.lag}
+        saved = {**self.known, "lag": self.lag, of_sensors: state.get("described")}
         for name in {**saved, **own}:
             if saved.get(name) != own.get(name):
                 found, expected = (f"{name} = {one.get(name)}" for one in (saved, own))
                 raise OtherSettings(f"a state with {found}", f"one with {expected}")
         self._pack()
+
+    @property
+    def _descriptions(self) -> tuple[Sensor, ...]:
+        """Descriptions of the sensors so far; () if there are none at all."""
+        unknown = Sensor()
+        return tuple(self._described.get(one, unknown) for one in self.sensors) if self._described else ()
+
+    def _widen_views(self, position: FloatArray, sensor: IntArray) -> None:
+        """Extend the fields of view that are not described to places (n, 2), each of one sensor (n,)."""
+        if self._described:
+            learned = np.array([not describes_view(one) for one in self._descriptions])
+            position, sensor = position[learned[sensor]], sensor[learned[sensor]]
+        self._views = self._views.reaching(position, sensor)
 
     @property
     def first_open(self) -> int:
@@ -462,10 +489,12 @@ class OnlineAssociation(Moves, Saved):
             self.sensors.append(sensor)
             self._last_of.append(t)
             self._scans.append(0)
-            self._views = self._views.with_sensor()
-            self._rates = self._rates.of(len(self.sensors))
+            self._views = self._views.with_sensor(self._described.get(sensor, Sensor()))
+            # Before all rates are learned, some that are described compare with nothing.
+            known = self._descriptions if self.learned else ()
+            self._rates = self._rates.of(len(self.sensors), known)
             if len(self.sensors) == 2:
-                self._views = self._views.reaching(self.chains.position, self.chains.sensor)
+                self._widen_views(self.chains.position, self.chains.sensor)
                 self._recent = [0] * len(self._intervals)
             count = len(self.sensors) if len(self.sensors) > 1 else 0
             scans = with_first_sensor(self.chains.scans, self.chains.frame, count)
@@ -603,7 +632,7 @@ class OnlineAssociation(Moves, Saved):
         self._notes.reported = owner
         if len(self.sensors) > 1:
             known = np.flatnonzero(owner[first:] > 0) + first
-            self._views = self._views.reaching(chains.position[known], chains.sensor[known])
+            self._widen_views(chains.position[known], chains.sensor[known])
         sure = np.where(chains.preceding < 0, 1.0, self.link_p)
         return Decision(owner[first:], sure[first:], revised)
 
@@ -615,7 +644,7 @@ class OnlineAssociation(Moves, Saved):
         if not len(chains.t):
             return
         if history.is_due():
-            found = history.learned(self.known)
+            found = history.learned(self.known, self._descriptions)
             self.scene, self._velocities = found.scene, found.velocities
             self._ground_rates, self._appearance = found.rates, found.appearance
             self._rates = found.of_sensors.of(len(self.sensors))

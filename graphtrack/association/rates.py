@@ -59,19 +59,25 @@ class SensorRates:
         exposure = chains.scans.max(axis=0) * views.areas
         each = (false.sum() + _PRIOR_FALSE) / max(exposure.sum(), 1.0)
         density = (false + _PRIOR_FALSE) / (exposure + _PRIOR_FALSE / each)
+        return cls(detection, density)._as_described(described)
+
+    def _as_described(self, described: Sequence[Sensor]) -> SensorRates:
+        """Return these rates, and those of the first sensors as far as they are described."""
+        detection, false = self.detection.copy(), self.false.copy()
         for k, one in enumerate(described):
             if one.detection_probability is not None:
                 detection[k] = one.detection_probability
             if one.false_density is not None:
-                density[k] = max(one.false_density, 1e-9)
-        return cls(np.clip(detection, *_BOUNDS), density)
+                false[k] = max(one.false_density, 1e-9)
+        return SensorRates(np.clip(detection, *_BOUNDS), false)
 
-    def of(self, count: int) -> SensorRates:
-        """Return those of more sensors, of which nothing is known."""
+    def of(self, count: int, described: Sequence[Sensor] = ()) -> SensorRates:
+        """Return those of more sensors, of which nothing is known except what is described."""
         more = (0, count - len(self.detection))
         means = (float(one.mean()) if len(one) else 0.5 for one in (self.detection, self.false))
         both = zip((self.detection, self.false), means, strict=True)
-        return SensorRates(*(np.pad(one, more, constant_values=mean) for one, mean in both))
+        found = SensorRates(*(np.pad(one, more, constant_values=mean) for one, mean in both))
+        return found._as_described(described) if described else found
 
     @property
     def weights(self) -> FloatArray:

@@ -120,9 +120,11 @@ class Views:
         """Fields of view of no sensor."""
         return cls(np.zeros((0, len(COMPASS))))
 
-    def with_sensor(self) -> Views:
+    def with_sensor(self, described: Sensor = Sensor()) -> Views:
         """Return these with a further sensor, which has detected nothing."""
-        return Views(np.vstack([self.heights, np.full((1, len(COMPASS)), -np.inf)]))
+        of_one = Views.of(np.zeros((0, 2)), np.zeros(0, np.int64), 1, [described])
+        heights = of_one.heights if describes_view(described) else np.full((1, len(COMPASS)), -np.inf)
+        return Views(np.vstack([self.heights, heights]))
 
     def reaching(self, position: FloatArray, sensor: IntArray) -> Views:
         """Return fields of view that include places (n, 2), each of one sensor (n,)."""
@@ -168,6 +170,11 @@ class Views:
         beyond = (position @ COMPASS.T)[:, None, :] - self.heights
         shares: FloatArray = np.clip(0.5 - beyond.max(axis=2) / EDGE, 0.0, 1.0)
         return shares
+
+
+def describes_view(sensor: Sensor) -> bool:
+    """Return whether the field of view of a sensor at rest is described, without what it has detected."""
+    return not sensor.moves and (sensor.field_of_view is not None or sensor.range is not None)
 
 
 def _cut(outline: FloatArray, beyond: FloatArray) -> FloatArray:

@@ -30,13 +30,14 @@ from graphtrack.inference.state import Estimate, as_track, checked, pack_observa
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
 from graphtrack.model.given import never_used
-from graphtrack.model.observation import CHANNELS, observation_at
+from graphtrack.model.observation import CHANNELS, observation_at, without_errors
 from graphtrack.model.same_time import SAME_TIME
 from graphtrack.model.terms.conversation import Group, with_group_at
 from graphtrack.saved import Saved, integer
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.gaps import with_rows
 from graphtrack.tracks.scene import GivenScene, SceneParameters, known_values
+from graphtrack.tracks.sensors import NO_SENSORS, Sensors
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import distinct_times
 from graphtrack.tracks.track import Track, TrackSet
@@ -155,7 +156,9 @@ class DetectionTracker(Saved):
 
     ``groups``: source of the input `GROUP` of all observations; None: the detections' own.
     ``walkable``: area in which people walk. ``constants``: as in `OnlineSmoother`.
-    ``revised`` has the revisions of the last update, ``newest`` its observations.
+    ``sensors``: descriptions of sensors.
+    ``revised`` has the revisions of the last update, ``newest`` its observations. ``corrects``: `update`
+    removes the known errors of sensors; False where that was done before.
     """
 
     def __init__(
@@ -169,7 +172,9 @@ class DetectionTracker(Saved):
         groups: SceneGroups | None = None,
         walkable: WalkableArea | None = None,
         constants: Constants | None = None,
+        sensors: Sensors = NO_SENSORS,
     ) -> None:
+        self._sensors, self.corrects = sensors, True
         self._options: dict[str, Any] = {
             "engine": engine,
             "lag": lag,
@@ -182,7 +187,7 @@ class DetectionTracker(Saved):
         smoother = self._smoother()  # checks the options, and compiles
         self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
-        self._association = OnlineAssociation(known, math.inf if lag is None else lag)
+        self._association = OnlineAssociation(known, math.inf if lag is None else lag, sensors)
         self._people: dict[int, _Person] = {}
         self._groups = groups
         self._observations: dict[Key, Observation] = {}
@@ -233,8 +238,15 @@ class DetectionTracker(Saved):
             raise InputError(f"detections = {given!r}", "observations, or positions (n, 2) in metres")
         given = list(given)
         sensor = _sensor_of(given) if sensor is None else sensor
-        self.check_time(t, sensor)
-        observations = [self.on_the_ground(one, t) for one in given]
+        described = self._sensors.get(sensor) if self.corrects else None
+        if described is None or described.moves:
+            self.check_time(t, sensor)
+            observations = [self.on_the_ground(one, t) for one in given]
+        else:
+            true = without_errors(checked(Observation(t)), described).t
+            self.check_time(true, sensor)
+            observations = [without_errors(self.on_the_ground(one, t), described) for one in given]
+            t = true
         self._note_unused(observations)
         position = np.array([one.position for one in observations], float).reshape(-1, 2)
         descriptors = descriptors_of(observations, self.descriptor_size)
@@ -307,6 +319,15 @@ class DetectionTracker(Saved):
     def updates(self) -> int:
         """Number of updates."""
         return self._association.updates
+
+    @property
+    def t(self) -> float:
+        """The time of the last update, seconds: the true time, if the sensor's clock offset is described.
+
+        NaN before the first.
+        """
+        last = self._observations.get((self.updates - 1, UNSEEN))
+        return math.nan if last is None else last.t
 
     @property
     def descriptor_size(self) -> int:
@@ -459,10 +480,12 @@ def track_rows(
 ) -> TrackSet:
     """Track the detections of a file online; their own identities are not read.
 
+    Rows were corrected for the errors of their sensors when they were read.
+
     ``advance`` is called with the number of detections of each frame, and ``learned`` with the time (s) of
     each frame in which the scene's parameters were learned.
     """
-    rows = usable(rows)
+    rows, tracker.corrects = usable(rows), False
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
     unused, tracker.unused = [name for name in tracker.unused if name in channels], ()
     if unused:

@@ -80,7 +80,8 @@ def smooth_streamed(path: Path, output: Path, read_options: ReadOptions, **optio
     with scratch_folder(destination(output)) as folder:
         tracks = folder / output.name
         _associate(dataset, tracks, read_options, options)
-        _smooth_tracks(open_dataset(tracks), output, read_options=read_options, **options)
+        corrected = replace(read_options, sensors=None)
+        _smooth_tracks(open_dataset(tracks), output, read_options=corrected, **options)
 
 
 def _associate(dataset: Dataset, output: Path, read_options: ReadOptions, options: Mapping[str, Any]) -> None:
@@ -191,7 +192,7 @@ def smooth(
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
         unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors}
         unused |= {"--trust": trust not in (None, "declared")}
-        streamed = ("fps", "select", "format", "associate", *options.CAMERA)
+        streamed = ("fps", "select", "format", "associate", "sensors", *options.CAMERA)
         given = reading.given().items()
         unused |= {options.option_name(name): value for name, value in given if name not in streamed}
         unused |= {"--format": reading.format not in (None, "parquet")}

@@ -18,6 +18,7 @@ from graphtrack.tracks.display import counted, duration
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.engines import OnlineEngine
+    from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Model
     from graphtrack.streaming.answers import Asked
     from graphtrack.streaming.session import Answers
@@ -89,7 +90,7 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: repairing tracks needs future frames")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        of_streams = ("fps", "homography", "associate", "columns", "time_unit")
+        of_streams = ("fps", "homography", "associate", "columns", "time_unit", "sensors")
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
         if refused:
@@ -111,6 +112,7 @@ def track(
             StreamBounds(max_people or StreamBounds.people, forget_after or StreamBounds.forget_after),
             None if walkable is None else WalkableArea.of(walkable),
             known_constants(constants),
+            reading.options().sensor_scene,
         )
         _track_stream(answers, reading, state, save_every)
         return
@@ -131,7 +133,8 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
-        _track_detections(rows, output, chosen, engine, kept, walkable, constants, verbose)
+        known = reading.options().sensor_scene
+        _track_detections(rows, output, chosen, engine, kept, walkable, constants, verbose, known)
         return
     tracks = reading.tracks([place_of(input)], rows)
     # The first one compiles.
@@ -174,6 +177,7 @@ def _track_detections(
     walkable: Path | None,
     constants: str | None,
     verbose: bool,
+    sensors: SensorScene | None,
 ) -> None:
     """Track the detections of a file online, and write the estimates without revision."""
     from graphtrack.association.associate import learned_scene
@@ -183,7 +187,13 @@ def _track_detections(
     from graphtrack.tracking import OnlineTracker
 
     tracker = OnlineTracker(
-        model, engine=engine, lag=lag, camera=rows.camera, walkable=walkable, constants=constants
+        model,
+        engine=engine,
+        lag=lag,
+        camera=rows.camera,
+        walkable=walkable,
+        constants=constants,
+        sensors=sensors,
     )
     learned: list[str] = []
 
@@ -299,6 +309,7 @@ def serve(
     attention: bool = False,
     places: options.Places = None,
     walkable: options.Walkable = None,
+    sensors: options.InputFile | None = None,
     state: Annotated[Path | None, typer.Option(file_okay=False)] = None,
     save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
     token_file: options.InputFile | None = None,
@@ -324,6 +335,7 @@ def serve(
     forecast : Predict positions every 0.4 s up to this many seconds ahead.
     groups : Report conversation groups and people walking together.
     attention : Report gaze targets: people and --places.
+    sensors : Description of the sensors (.toml); rows are corrected for their known errors.
     state : Folder for saved streams, which can be resumed; created if missing.
     save_every : As in graphtrack track.
 
@@ -345,6 +357,7 @@ def serve(
     """
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import check_lag, online_engine
+    from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Model
 
     try:
@@ -369,6 +382,7 @@ def serve(
         horizon=horizon_of(forecast),
         bounds=StreamBounds(max_people, forget_after),
         walkable=None if walkable is None else WalkableArea.of(walkable),
+        sensors=None if sensors is None else SensorScene.load(sensors),
     )
     limits = Limits(max_streams, max_rate, max_line, patience)
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.packages import gtsam
+from graphtrack.tracks.sensors import Sensor, changed_channels
 from graphtrack.tracks.track import Track
 
 Covariance = tuple[tuple[float, ...], ...]
@@ -84,6 +85,23 @@ def observation_at(
     if inputs:
         given["inputs"] = _present(inputs, k)
     return Observation(t=t, frame=frame, sensor=sensor, **given)
+
+
+def channels_of(observation: Observation) -> dict[str, FloatArray]:
+    """Return the channels that an observation has, each with one row."""
+    given = ((name, getattr(observation, name)) for name in CHANNELS)
+    return {name: np.array([value], float) for name, value in given if value is not None}
+
+
+def without_errors(observation: Observation, sensor: Sensor) -> Observation:
+    """Return an observation without the known errors of its sensor, as `corrected` does with rows."""
+    own = channels_of(observation)
+    found = changed_channels({"t": np.array([observation.t]), **own}, sensor)
+    if not found:
+        return observation
+    t = float(found.pop("t", [observation.t])[0])
+    turned = observation_at(0, t, observation.frame, {**own, **found}, sensor=observation.sensor)
+    return replace(turned, inputs=observation.inputs)
 
 
 def _present(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path, check_distinct
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.sensors import with_known_sensors
 from graphtrack.scale.dataset import Dataset, ShardWriter, check_without_poses, open_dataset, rows_of_block
 from graphtrack.scale.workers import on_cluster
 from graphtrack.tracks.scene import GivenScene, Known, SceneParameters, known_values
@@ -101,7 +102,7 @@ def associate_dataset(
     scene : its parameters that are known; the others are learned, in each block by itself
     jobs, cluster : as in `smooth_dataset`
     block_rows : detections of a block, without its overlaps; memory grows with it
-    read_options : frame rate
+    read_options : frame rate, and the description of the sensor "", whose errors are removed
     progress : called with the numbers of detections that are done
 
     Raises
@@ -120,8 +121,6 @@ def associate_dataset(
         raise dataset.fail("a column sensor", expected, column="sensor")
     columns = tuple(name for name in dataset.columns if name not in ("track_id", "label"))
     options = ReadOptions() if read_options is None else read_options
-    if options.sensors is not None:
-        raise dataset.fail("a description of sensors when streaming", "smooth --no-stream")
     wanted = ("frame", "x", "y") if options.fps else ("frame", "t", "x", "y")
     missing = next((name for name in wanted if name not in columns), None)
     if missing is not None:
@@ -201,7 +200,7 @@ def associate_block(
 ) -> Associated:
     """Associate the detections of a block; it runs on any worker."""
     native = rows_of_block(path, columns, block.rows, options.fps, {})
-    rows = with_identities(native, known)
+    rows = with_identities(with_known_sensors(native, options.sensor_scene), known)
     tracks = with_every_frame(TrackSet.from_rows(rows), SceneParameters(**known).longest_filled)
     found = to_columns(tracks)
     # A person has at most one detection in a frame, and all frames are within those of the detections.

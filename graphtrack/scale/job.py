@@ -98,7 +98,7 @@ def smooth_dataset(
         Dask scheduler
     batch_frames : person-frames that are read, smoothed and sent together; memory grows with it
     select : patterns as in `TrackSet.select`; empty: all tracks
-    read_options : frame rate and camera
+    read_options : frame rate, camera and descriptions of sensors
     progress : called with the numbers of rows that are done
     constants : as in `graphtrack.solve`. The population is learned from the first `LEARNED_ON` rows, and
         written next to the output, as ``NAME.constants.toml``
@@ -119,8 +119,6 @@ def smooth_dataset(
     check_without_poses(dataset, read_options)
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
     check_names(dataset.columns, read_options.fps, dataset.fail)
-    if read_options.sensors is not None:
-        raise dataset.fail("a description of sensors when streaming", "smooth --no-stream")
     if "x" not in dataset.columns:
         raise dataset.fail(
             "pixels u, v without x, y", "positions in metres, to stream a data set", column="x"

@@ -27,6 +27,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.engines import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.sensors import with_known_sensors
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model
 from graphtrack.model.given import notes_on
@@ -45,7 +46,7 @@ class Work:
     ----------
     path : of the data set, for messages
     columns : names of the columns of a batch
-    read_options : frame rate and camera
+    read_options : frame rate, camera and descriptions of sensors
     select : patterns of the tracks to smooth; empty: all
     model, engine, jobs, options : as in `graphtrack.solve`
     constants : as in `graphtrack.solve`
@@ -135,7 +136,8 @@ def tracks_of_batch(work: Work, batch: Batch) -> tuple[TrackSet, int, int, Speed
     """Return the chosen tracks of a batch, its rows, the tracks that were not in order, and the speeds."""
     rows, n_sorted = _in_order(batch.rows)
     native = rows_of_block(work.path, work.columns, rows, work.read_options.fps, batch.labels)
-    tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
+    rows_on_ground = place_pixels(native, work.read_options)
+    tracks = TrackSet.from_rows(with_known_sensors(rows_on_ground, work.read_options.sensor_scene))
     speeds = tracks.speeds
     if work.select:
         tracks = tracks.select(*work.select)

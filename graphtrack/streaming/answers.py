@@ -30,8 +30,9 @@ from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import Saved, integer
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
+from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MOST_SENSORS, Group, MovingSensors
-from graphtrack.streaming.protocol import Answering, error_row, estimate_row, observation_of
+from graphtrack.streaming.protocol import Answering, error_row, estimate_row
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import SENSOR_NAME, is_sensor_name
@@ -241,7 +242,7 @@ class TrackAnswers(Answering):
         `Conversations` of a model with groups
     unused : as in `UnknownKeys`
     commons : what people have in common, where constants are learned
-    moving : as in `Answering`
+    moving, described : as in `Answering`
 
     Attributes
     ----------
@@ -259,8 +260,9 @@ class TrackAnswers(Answering):
         unused: Collection[str] = (),
         commons: Commons | None = None,
         moving: MovingSensors | None = None,
+        described: DescribedSensors | None = None,
     ) -> None:
-        super().__init__(fps, note, unused=unused, moving=moving)
+        super().__init__(fps, note, unused=unused, moving=moving, described=described)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._commons = Commons(Population(), learns=False) if commons is None else commons
         self._waiting = dict[int, _Waiting]()
@@ -301,7 +303,7 @@ class TrackAnswers(Answering):
                 pairs = self.pairs_of(line)
                 cells = read_cells(pairs)
             self._unknown_keys.check_used(cells)
-            observation = self._moving.in_world(observation_of(cells, self.fps))
+            observation = self.observed(cells)
             self._take(cells["track_id"], observation, answers)
         except InputError as error:
             answers.append(error_row(pairs or tuple((cells or {}).items()), number, error))
@@ -406,7 +408,7 @@ class TrackAnswers(Answering):
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input: those of rows that wait, and of the last frame."""
         answers: list[dict[str, Any]] = []
-        for one in self._moving.due(all=True):
+        for one in self.at_the_end():
             self._answer(*one, answers)
         self._take_waiting()
         return answers + self._end_frame()
@@ -474,6 +476,7 @@ class DetectionStream(Saved):
     ) -> None:
         self.tracker, self.behaviour, self.clock = tracker, behaviour, StreamClock(jump)
         tracker.unused = ()  # the stream itself notes keys that are not used
+        tracker.corrects = False  # it corrects rows before poses turn them
         self.t: float | None = None
         self.scans: dict[str, Scan] = {}
         self.elapsed, self.offset, self.numbered = 0.0, 0.0, 0
@@ -552,7 +555,7 @@ class Scenes(Answering):
     horizon : (seconds, step) of forecasts reported with each person; None: no forecasts
     asked : groups and attention reported with each person; None: neither
     bounds : limits of what is kept
-    unused, moving : as in `Answering`
+    unused, moving, described : as in `Answering`
 
     Attributes
     ----------
@@ -571,8 +574,9 @@ class Scenes(Answering):
         bounds: StreamBounds = StreamBounds(),
         unused: Collection[str] = (),
         moving: MovingSensors | None = None,
+        described: DescribedSensors | None = None,
     ) -> None:
-        super().__init__(fps, note, ("stream", "end"), unused, moving)
+        super().__init__(fps, note, ("stream", "end"), unused, moving, described)
         self._make, self._forget, self._horizon, self._asked = make, forget, horizon, asked
         self._bounds = bounds
 
@@ -603,7 +607,9 @@ class Scenes(Answering):
             name = _name(given.get("stream"))
             if "end" in given:
                 ends: Ends = "time" if given.get("sensor") is None else "scan"
-                return self._take(name, _end_of(given), None, ends)
+                end = _end_of(given)
+                t = self._described.true_time(end.t, end.sensor if ends == "scan" else None)
+                return self._take(name, replace(end, t=t), None, ends)
             return self._take(name, *self._detection(pairs))
         except InputError as error:
             return [error_row(pairs, number, error)]
@@ -611,7 +617,7 @@ class Scenes(Answering):
     def finish(self) -> list[dict[str, Any]]:
         """Return the answers at the end of input: those of rows that wait, and of the unfinished frames."""
         rows: list[dict[str, Any]] = []
-        for one in self._moving.due(all=True):
+        for one in self.at_the_end():
             rows += self._answer(*one)
         for name in self.members:
             rows += self._flush(name)
@@ -627,7 +633,7 @@ class Scenes(Answering):
         number = cells.get("frame")
         if "t" not in cells and number is None:
             raise InputError("neither t nor frame", "the time of the observation", column="t")
-        return self._moving.in_world(observation_of({**cells, "frame": number or 0}, self.fps)), number
+        return self.observed({**cells, "frame": number or 0}), number
 
     def _take(
         self,

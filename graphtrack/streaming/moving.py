@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.poses import PosePath
 from graphtrack.io.formats.ndjson import Pairs, unique
 from graphtrack.model import Observation
-from graphtrack.model.observation import CHANNELS, observation_at
+from graphtrack.model.observation import channels_of, observation_at
 from graphtrack.saved import check_numbers, count, real
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.tracks.moving import EVERY, UNDECLARED, channels_in_world, nearby
@@ -59,6 +59,16 @@ class Waiting(NamedTuple):
     group: Group
     sensor: str | None
     t: float
+
+    def state(self) -> list[Any]:
+        """Return the line as JSON-able data."""
+        return [self.number, self.line.decode("utf-8", "surrogateescape"), *self[2:]]
+
+    @classmethod
+    def from_state(cls, state: Sequence[Any]) -> Waiting:
+        """Return the line of a `state`."""
+        number, line, group, sensor, t = state
+        return cls(count(number), line.encode("utf-8", "surrogateescape"), group, sensor, real(t))
 
 
 class MovingSensors:
@@ -142,7 +152,7 @@ class MovingSensors:
         self._paths.pop(sensor, None)
         return sensor if is_new else None, note
 
-    def hold(self, number: int, line: bytes, group: Group, sensor: str | None, t: float) -> bool:
+    def hold(self, one: Waiting) -> bool:
         """Let a line wait if it has to; return whether it does.
 
         Raises
@@ -150,9 +160,8 @@ class MovingSensors:
         InputError
             If too many wait.
         """
-        if sensor is not None and self._name(sensor) is not None and self._is_near(t):
-            self._newest = max(self._newest, t)
-        one = Waiting(number, line, group, sensor, t)
+        if one.sensor is not None and self._name(one.sensor) is not None and self._is_near(one.t):
+            self._newest = max(self._newest, one.t)
         if not self._is_behind(one, self._waiting) and self._is_due(one):
             return False
         if len(self._waiting) >= MOST_WAITING:
@@ -194,11 +203,8 @@ class MovingSensors:
             t, x, y, yaw, *variances = np.array(self._poses[name]).T
             covariance = np.array(variances).T[:, :, None] * np.eye(3)
             self._paths[name] = PosePath(t, x, y, yaw, covariance)
-        given = {
-            channel: np.array([value])
-            for channel in CHANNELS
-            if channel != "pixel" and (value := getattr(observation, channel)) is not None
-        }
+        given = channels_of(observation)
+        given.pop("pixel", None)
         try:
             repeats = self._repeats(name, observation.t)
             t = np.array([observation.t])
@@ -219,7 +225,7 @@ class MovingSensors:
 
     def state(self) -> dict[str, Any]:
         """Return the state to continue from, as JSON-able data."""
-        waiting = [[*one[:1], one.line.decode("utf-8", "surrogateescape"), *one[2:]] for one in self._waiting]
+        waiting = [one.state() for one in self._waiting]
         newest = None if self._newest == -math.inf else self._newest
         poses = {name: [*known] for name, known in self._poses.items()}  # written while more come
         times = {name: [*known] for name, known in self._times.items()}
@@ -236,10 +242,7 @@ class MovingSensors:
         }
         self._paths = {}
         self._times = {str(name): [*map(real, known)] for name, known in state["times"].items()}
-        self._waiting = [
-            Waiting(count(number), line.encode("utf-8", "surrogateescape"), group, sensor, real(t))
-            for number, line, group, sensor, t in state["waiting"]
-        ]
+        self._waiting = [*map(Waiting.from_state, state["waiting"])]
 
     def _name(self, sensor: str) -> str | None:
         """Return the name of the path of a sensor; None: it does not move."""

@@ -21,12 +21,13 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.model import Observation
 from graphtrack.model.observation import Covariance
 from graphtrack.streaming.clock import StreamClock
-from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors
+from graphtrack.streaming.described import DescribedSensors
+from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors, Waiting
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
-from graphtrack.tracks.validation import APPEARANCE, INPUT
+from graphtrack.tracks.validation import APPEARANCE, INPUT, LARGEST_SECONDS
 
 LONGEST_LINE = 1 << 20
 """Largest number of bytes in a line."""
@@ -80,6 +81,7 @@ class Answering:
     note : called with a sentence on each unknown key, and on times that jump
     known, unused : as in `UnknownKeys`
     moving : poses of moving sensors; None: with the default lag
+    described : descriptions of sensors; None: without
 
     Attributes
     ----------
@@ -94,10 +96,12 @@ class Answering:
         known: Collection[str] = (),
         unused: Collection[str] = (),
         moving: MovingSensors | None = None,
+        described: DescribedSensors | None = None,
     ) -> None:
         self.fps, self._note, self._unknown_keys = fps, note, UnknownKeys(note, known, unused)
         self._of_poses = UnknownKeys(note, POSE_KEYS, set(NAMES) - POSE_KEYS)
         self._moving = MovingSensors() if moving is None else moving
+        self._described = DescribedSensors() if described is None else described
         self._has_noted_jump = False
         self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
@@ -117,20 +121,24 @@ class Answering:
 
     def shared_state(self) -> dict[str, Any]:
         """Return the part of the state that belongs to no member, as JSON-able data."""
-        return {"moving": self._moving.state()} if self._moving.is_used else {}
+        found: dict[str, Any] = {"moving": self._moving.state()} if self._moving.is_used else {}
+        return found | ({"ordered": self._described.state()} if self._described.has_clocks else {})
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
         if "moving" in state:
             self._moving.restore(state["moving"])
+        if self._described.has_clocks:
+            self._described.restore(state["ordered"])
 
     def ready(self, number: int, line: bytes, answers: list[dict[str, Any]]) -> list[tuple[int, bytes]]:
-        """Return the lines to answer once a line came: itself, unless it waits for a pose, and what waited.
+        """Return the lines to answer once a line came: itself, unless it waits, and what waited.
 
-        A pose is taken, and answered if it is invalid.
+        A row waits for a pose, or for earlier rows of sensors with other clocks. A pose is taken, and
+        answered if it is invalid.
         """
-        moving = self._moving
-        if not moving.is_used and b'"pose"' not in line:
+        moving, described = self._moving, self._described
+        if not (moving.is_used or described.has_clocks) and b'"pose"' not in line:
             return [(number, line)]
         try:
             pairs = parse_line(text_of(line))
@@ -153,14 +161,46 @@ class Answering:
             t, sensor = given.get("t", given.get("end")), given.get("sensor") or ""
             if t is None and self.fps is not None and _is_number(given.get("frame")):
                 t = given["frame"] / self.fps
-            if _is_number(t) and isinstance(sensor, str):
-                of_row = None if "end" in given else sensor
-                if moving.hold(number, line, self.group_of(given), of_row, t):
-                    return list(moving.due())
+            if _is_number(t) and abs(t) <= LARGEST_SECONDS and isinstance(sensor, str):
+                group, is_end = self.group_of(given), "end" in given
+                if not described.has_clocks:
+                    of_row = None if is_end else sensor
+                    return self._without_held([Waiting(number, line, group, of_row, t)], answers)
+                of_clock = None if is_end and given.get("sensor") is None else sensor
+                ready = described.in_order(number, line, group, of_clock, t)
+                return self._without_held(ready, answers)
         except InputError as error:
             answers.append(error_row(pairs, number, error))
             return list(moving.due())
         return [*moving.due(), (number, line)]
+
+    def _without_held(self, waiting: list[Waiting], answers: list[dict[str, Any]]) -> list[tuple[int, bytes]]:
+        """Return the lines that do not wait for a pose, and those that need not wait any more."""
+        found: list[tuple[int, bytes]] = []
+        for one in waiting:
+            try:
+                is_held = self._moving.hold(one)
+            except InputError as error:
+                answers.append(error_row(parse_line(text_of(one.line)), one.number, error))
+                is_held = True
+            found += self._moving.due()
+            found += [] if is_held else [(one.number, one.line)]
+        return found
+
+    def at_the_end(self) -> Iterator[tuple[int, bytes]]:
+        """Remove and yield the lines that wait: the input has ended."""
+        yield from self._moving.due(all=True)
+        yield from ((one.number, one.line) for one in self._described.rest())
+
+    def observed(self, cells: dict[str, Any]) -> Observation:
+        """Return a row as an observation in the world, without the known errors of its sensor.
+
+        Raises
+        ------
+        InputError
+            Without a time, or as `MovingSensors.in_world`.
+        """
+        return self._moving.in_world(self._described.corrected(observation_of(cells, self.fps)))
 
     def group_of(self, given: Mapping[str, Any]) -> Group:
         """Return the stream whose lines stay in order, of a line's content; None: any order."""

@@ -32,6 +32,7 @@ from graphtrack.interaction.attention import make_attention_ready
 from graphtrack.interaction.coupled import CONVERSATIONS, Conversations
 from graphtrack.io.formats.ndjson import encoded
 from graphtrack.io.options import Associate
+from graphtrack.io.sensors import SensorScene
 from graphtrack.model import Model
 from graphtrack.model.given import EVIDENCE, unused_columns
 from graphtrack.model.terms.walls import StaysInside
@@ -45,10 +46,12 @@ from graphtrack.streaming.answers import (
     StreamBounds,
     TrackAnswers,
 )
+from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MovingSensors
 from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
 from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
 from graphtrack.tracking import OnlineTracker
+from graphtrack.tracks.sensors import NO_SENSORS, digest_of
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -77,6 +80,7 @@ class Answers:
     asked : groups and attention to report; None: neither
     bounds : limits of what is kept
     walkable, constants : as in `OnlineSmoother`
+    sensors : descriptions of sensors; None: none
     """
 
     model: Model
@@ -90,6 +94,7 @@ class Answers:
     bounds: StreamBounds = field(default_factory=StreamBounds)
     walkable: WalkableArea | None = None
     constants: Known = None
+    sensors: SensorScene | None = None
 
     @property
     def chosen_engine(self) -> str:
@@ -117,12 +122,17 @@ class Answers:
             unused_columns(self.model, self.camera),
             commons_of(self.constants, self.model),
             self._moving(),
+            self._described(note),
         )
 
     def _moving(self) -> MovingSensors:
         likelihood = self.model.parameters.likelihood
         undeclared = likelihood.position_std, likelihood.velocity_std
         return MovingSensors(self.lag, self._bounds.jump, undeclared)
+
+    def _described(self, note: Callable[[str], None]) -> DescribedSensors:
+        known = NO_SENSORS if self.sensors is None else self.sensors
+        return DescribedSensors(known, self.camera, self._bounds.jump, note)
 
     @property
     def _bounds(self) -> StreamBounds:
@@ -159,9 +169,9 @@ class Answers:
 
     def scenes(self, note: Callable[[str], None] = ignore) -> Scenes:
         """Return the object that answers detections without identity."""
-        make, forget = partial(OnlineTracker, self.model, **self._options), self.associate == "always"
+        forget = self.associate == "always"
         return Scenes(
-            make,
+            self._tracker,
             self.fps,
             note,
             forget=forget,
@@ -170,12 +180,15 @@ class Answers:
             bounds=self._bounds,
             unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
             moving=self._moving(),
+            described=self._described(note),
         )
+
+    def _tracker(self) -> OnlineTracker:
+        return OnlineTracker(self.model, sensors=self.sensors, **self._options)
 
     def restored_scene(self, key: Any, saved: Any) -> DetectionStream:
         """Restore a member of `scenes` from its state."""
-        tracker = OnlineTracker(self.model, **self._options)
-        return DetectionStream.from_state(saved, tracker, self._behaviour(), self._bounds.jump)
+        return DetectionStream.from_state(saved, self._tracker(), self._behaviour(), self._bounds.jump)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that the answers depend on, as JSON-able data."""
@@ -186,6 +199,7 @@ class Answers:
             known = self.constants
             found["constants"] = known.to_dict() if isinstance(known, Population) else known
         found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
+        found |= {} if self.sensors is None else {"sensors": digest_of(self.sensors)}
         return found | ({} if self.asked is None else self.asked.settings())
 
     def warm_up(self, *, detections: bool) -> None:

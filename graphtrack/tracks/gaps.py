@@ -45,7 +45,8 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
     steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
     the gap. A gap whose frames would follow each other ten times faster than the frames around it is left,
-    since its frame numbers do not count time; so are those of rows of sensors, which each count their own.
+    since its frame numbers do not count time; so are those of rows of several sensors, which each count their
+    own.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     if not steps:
         return tracks
     usual, rate = float(np.median(np.concatenate(steps))), usual_rate((one.frame, one.t) for one in tracks)
-    gaps = {one.track_id: _gaps(one, usual, rate, longest) for one in tracks}
+    each = has_several_sensors(tracks)
+    gaps = {one.track_id: _gaps(one, usual, rate, longest, each) for one in tracks}
     n_frames = sum(len(one) + int(_sizes(one, *gaps[one.track_id]).sum()) for one in tracks)
     most = max(_MOST_FILLED, _MOST_TIMES * tracks.n_frames)
     if n_frames > most:
@@ -161,8 +163,17 @@ def unfilled_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> int:
 def gaps_without_time(tracks: TrackSet) -> int:
     """Return the number of gaps that `filled` leaves because their frame numbers do not count time."""
     rate = usual_rate((one.frame, one.t) for one in tracks)
-    counted_by = (one for one in tracks if one.sensor is None)
+    each = has_several_sensors(tracks)
+    counted_by = (one for one in tracks if one.sensor is None or not each)
     return sum(int((np.diff(one.frame) > FASTEST * rate * np.diff(one.t)).sum()) for one in counted_by)
+
+
+def has_several_sensors(tracks: Iterable[Track]) -> bool:
+    """Return whether the rows of tracks are of several sensors; rows without a name are of one."""
+    names: set[str] = set()
+    for one in tracks:
+        names |= {""} if one.sensor is None else set(np.unique(one.sensor).tolist())
+    return len(names) > 1
 
 
 def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
@@ -177,9 +188,15 @@ def usual_rate(rows: Iterable[tuple[NDArray[np.int64], FloatArray]]) -> float:
     return float(np.median(rates)) if len(rates) else 0.0
 
 
-def _gaps(track: Track, usual: float, rate: float, longest: float) -> tuple[NDArray[np.int64], int]:
-    """Return the indices of the rows before the gaps of a track, and its step in frame numbers."""
-    if len(track) < 2 or track.sensor is not None:
+def _gaps(
+    track: Track, usual: float, rate: float, longest: float, each: bool
+) -> tuple[NDArray[np.int64], int]:
+    """Return the indices of the rows before the gaps of a track, and its step in frame numbers.
+
+    ``each``: of several sensors each counts its own frames
+    """
+    counts_own = track.sensor is not None and (each or not frames_increase(track))
+    if len(track) < 2 or counts_own:
         return np.empty(0, dtype=np.int64), 1
     apart, seconds = np.diff(track.frame), np.diff(track.t)
     step = max(1, round(min(float(np.median(apart)), usual)))
@@ -196,7 +213,17 @@ def _filled(track: Track, gaps: NDArray[np.int64], step: int) -> Track:
         return track
     between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
     frame = np.unique(np.concatenate([track.frame, *between]))
-    return with_rows(track, frame, np.interp(frame, track.frame, track.t))
+    return with_rows(track, frame, np.interp(frame, track.frame, track.t), only_sensor(track, len(frame)))
+
+
+def frames_increase(track: Track) -> bool:
+    """Return whether each frame of a track has one row, in order: rows of a sensor may have other numbers."""
+    return bool((np.diff(track.frame) > 0).all())
+
+
+def only_sensor(track: Track, n: int) -> NDArray[np.str_] | None:
+    """Return the name of the sensor of a track n times; None without a sensor."""
+    return None if track.sensor is None else np.full(n, track.sensor[0])
 
 
 def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...]]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from hashlib import sha256
 from types import MappingProxyType
 from typing import Any, Literal, Self, TypeAlias
 
@@ -317,6 +319,12 @@ Sensors: TypeAlias = Mapping[str, Sensor]
 NO_SENSORS: Sensors = MappingProxyType({})
 
 
+def digest_of(sensors: Sensors) -> str:
+    """Return text that is the same for equal descriptions, without keys for simulation alone; "" for none."""
+    tables = {name: replace(one, simulation=None).to_table() for name, one in sensors.items()}
+    return sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()[:16] if tables else ""
+
+
 def sees(sensor: Sensor, points: FloatArray, pose: FloatArray | None = None) -> BoolArray:
     """Return a mask (n,) of the points in a field of view; False where NaN.
 
@@ -407,7 +415,7 @@ def _changed(rows: Rows, sensors: Sensors, *, distort: bool) -> Rows:
         if not len(here):
             continue
         own = {channel: values[here] for channel, values in rows.channels.items()}
-        for channel, values in _changed_channels(own, sensor, distort).items():
+        for channel, values in changed_channels(own, sensor, distort=distort).items():
             before = channels.get(channel)
             after = np.full((len(rows), *values.shape[1:]), np.nan) if before is None else before.copy()
             after[here] = values
@@ -417,8 +425,17 @@ def _changed(rows: Rows, sensors: Sensors, *, distort: bool) -> Rows:
     return replace(rows, channels=channels, notes=notes)
 
 
-def _changed_channels(own: Mapping[str, FloatArray], sensor: Sensor, distort: bool) -> dict[str, FloatArray]:
-    """Return the channels of a sensor's rows that change when its errors are added or removed."""
+def changed_channels(
+    own: Mapping[str, FloatArray], sensor: Sensor, *, distort: bool = False
+) -> dict[str, FloatArray]:
+    """Return the channels of a sensor's rows that change when its errors are removed, or added.
+
+    Parameters
+    ----------
+    own : channels (n, …) of the rows, with their times ``t``
+    sensor : description of the sensor
+    distort : the errors are added
+    """
     sign = 1.0 if distort else -1.0
     rotation = sign * (sensor.rotation or 0.0)
     turn = rotation + sign * (sensor.angle_bias or 0.0)
@@ -450,7 +467,7 @@ def _changed_channels(own: Mapping[str, FloatArray], sensor: Sensor, distort: bo
         change(["position_std"], lambda values: scale * values)
         change(["position_covariance"], lambda values: scale**2 * values)
         change(["covariance"], lambda values: np.outer(of_state, of_state) * values)
-    if sensor.position_std is not None and not distort:
+    if sensor.position_std is not None and "position" in own and not distort:
         missing = np.full(len(own["position"]), np.nan)
         declared = [own[name].reshape(len(missing), -1)[:, 0] for name in _DECLARED if name in own]
         undeclared = np.isnan([missing, *declared]).all(axis=0)

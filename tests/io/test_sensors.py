@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 import graphtrack as gt
 from graphtrack import InputError
 from graphtrack.io.sensors import SensorScene
+from graphtrack.model import Observation
+from graphtrack.model.observation import CHANNELS, observation_at, without_errors
 from graphtrack.tracks.sensors import (
     MOVED_PIXELS,
     Sensor,
@@ -22,7 +24,6 @@ from graphtrack.tracks.sensors import (
     sees,
 )
 from graphtrack.tracks.table import Rows
-from graphtrack.tracks.track import TrackSet
 
 ANGLE = st.floats(-3.1, 3.1)
 METRES = st.floats(-50.0, 50.0)
@@ -384,6 +385,29 @@ def test_descriptions_in_python_are_checked_too() -> None:
             SensorScene.of(given_)
 
 
+@given(sensors(position_std=0.3))
+def test_an_observation_is_corrected_as_a_row(sensor: Sensor) -> None:
+    rows = rows_of(3, names=("a",))
+    rng = np.random.default_rng(0)
+    likelihood = rng.dirichlet(np.ones(8), len(rows))
+    rows = rows.with_channels(body_likelihood=likelihood)
+    rows.channels["position_std"][::3] = np.nan
+    rows.channels["position_covariance"][::3] = np.nan
+    expected = corrected(rows, {"a": sensor})
+
+    def observation(given_: Rows, k: int) -> Observation:
+        channels = {name: given_.channels[name] for name in CHANNELS if name in given_.channels}
+        inputs = {"distance": given_.channels["input_distance"]}
+        return observation_at(k, float(given_.channels["t"][k]), 5, channels, inputs, "a")
+
+    for k in range(len(rows)):
+        one, other = without_errors(observation(rows, k), sensor), observation(expected, k)
+        if one.position is None and other.position_std != one.position_std:
+            other = replace(other, position_std=one.position_std)
+        for name in vars(one):
+            assert getattr(one, name) == getattr(other, name), name
+
+
 # Reading
 
 
@@ -475,24 +499,27 @@ def test_the_command_line_takes_a_description(table, tmp_path) -> None:
     assert done.returncode == 2 and SensorScene.load(scene)["b"] == LATE
 
 
-def test_a_stream_of_rows_takes_no_description(table, tmp_path) -> None:
-    SensorScene({"a": Sensor()}).save(tmp_path / "scene.toml")
-    done = run("track", "-", "--sensors", tmp_path / "scene.toml", program="graphtrack", rows=[])
-    assert done.returncode == 2 and "--sensors with -" in done.stderr
-    tracks: TrackSet = gt.read(table)
-    gt.write(tracks, tmp_path / "rows.parquet")
-    done = run(
-        *("smooth", tmp_path / "rows.parquet", "-o", tmp_path / "out.parquet", "--stream"),
-        *("--sensors", tmp_path / "scene.toml"),
-        program="graphtrack",
-    )
-    assert done.returncode == 2 and "--sensors when streaming" in done.stderr
-    from graphtrack.scale import associate_dataset, smooth_dataset
+def test_a_data_set_that_is_streamed_is_corrected_as_in_memory(table, tmp_path) -> None:
+    scene, whole = tmp_path / "scene.toml", tmp_path / "whole.parquet"
+    SensorScene({"a": Sensor(), "b": LATE}).save(scene)
+    rows, out = tmp_path / "rows.parquet", tmp_path / "out.parquet"
+    gt.write(gt.read(table), rows)
+    command = ("smooth", rows, "-o", out, "--stream", "--model", "position", "--constants", "default")
+    ran(*command, "--sensors", scene, program="graphtrack")
+    gt.write(gt.smooth(gt.read(rows, sensors=scene), "position", constants="default"), whole)
+    assert out.read_bytes() == whole.read_bytes()
+    scene.write_text("[sensors.a]\nshift = 3\n")
+    done = run(*command, "--sensors", scene, program="graphtrack")
+    assert done.returncode == 2 and "sensors.a.shift = 3" in done.stderr
 
-    options = gt.ReadOptions(sensors={"a": Sensor()})
-    with pytest.raises(InputError, match="sensors when streaming"):
-        smooth_dataset(tmp_path / "rows.parquet", tmp_path / "out.parquet", read_options=options)
-    bare = tracks.map(lambda one: replace(one[one.sensor == "a"], sensor=None))
-    gt.write(bare, tmp_path / "bare.parquet")
-    with pytest.raises(InputError, match="sensors when streaming"):
-        associate_dataset(tmp_path / "bare.parquet", tmp_path / "out.parquet", read_options=options)
+
+def test_detections_that_are_streamed_are_corrected_once(table, tmp_path) -> None:
+    scene, rows, out = tmp_path / "scene.toml", tmp_path / "rows.parquet", tmp_path / "out.parquet"
+    SensorScene({"": Sensor(shift=(5.0, 0.0), clock_offset=0.5)}).save(scene)
+    bare = gt.read(table).map(lambda one: replace(one[one.sensor == "a"], sensor=None))
+    gt.write(bare, rows)
+    command = ("smooth", rows, "-o", out, "--stream", "--associate", "always", "--model", "position")
+    ran(*command, "--constants", "default", "--sensors", scene, program="graphtrack")
+    (found,), (expected,) = gt.read(out), bare
+    np.testing.assert_allclose(found.t, expected.t - 0.5, atol=1e-9)
+    np.testing.assert_allclose(found.position, expected.position - [5.0, 0.0], atol=0.1)

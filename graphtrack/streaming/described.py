@@ -1,0 +1,219 @@
+"""Described sensors of a stream: observations without their known errors, in the order of true times."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right, insort
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import Observation
+from graphtrack.model.observation import without_errors
+from graphtrack.saved import real
+from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
+from graphtrack.streaming.moving import MOST_SENSORS, MOST_WAITING, Group, Waiting
+from graphtrack.tracks.sensors import NO_SENSORS, Sensor, Sensors
+from graphtrack.tracks.time import TIME_TOLERANCE
+
+_MOST_STREAMS = 256
+"""Streams whose rows are ordered at a time."""
+
+
+@dataclass
+class _Order:
+    """The rows of a stream that wait for earlier ones of other clocks.
+
+    Attributes
+    ----------
+    clock : of the true times
+    newest : clock offset → newest true time of the sensors that have it
+    uncorrected : newest time in a row, by the clock of its sensor
+    held : lines that wait, by their true times
+    jumped : lines of implausible times, which the next line confirms or not
+    """
+
+    clock: StreamClock
+    newest: dict[float, float] = field(default_factory=dict)
+    uncorrected: float = -math.inf
+    held: list[Waiting] = field(default_factory=list)
+    jumped: list[Waiting] = field(default_factory=list)
+
+    def state(self) -> dict[str, Any]:
+        """Return the state to continue from, as JSON-able data."""
+        found: dict[str, Any] = {"clock": self.clock.state(), "newest": [*self.newest.items()]}
+        found["uncorrected"] = None if self.uncorrected == -math.inf else self.uncorrected
+        found |= {name: [one.state() for one in getattr(self, name)] for name in ("held", "jumped")}
+        return found
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a `state`."""
+        self.clock.restore(state["clock"])
+        self.newest = {real(offset): real(t) for offset, t in state["newest"]}
+        self.uncorrected = -math.inf if state["uncorrected"] is None else real(state["uncorrected"])
+        self.held = [*map(Waiting.from_state, state["held"])]
+        self.jumped = [*map(Waiting.from_state, state["jumped"])]
+
+
+class DescribedSensors:
+    """Removes the known errors of sensors from a stream's observations, and orders its rows by true times.
+
+    With different clock offsets the rows of a stream come in the order of true times or of the times in the
+    rows. A row waits until no earlier one can come: until each clock has given a row at its time or later, or
+    the times in the rows are ahead of it by the largest offset. So it waits no longer than the offsets
+    differ, and not at all if they are equal.
+
+    Parameters
+    ----------
+    sensors : descriptions by name
+    camera : of the scene, for positions of pixels
+    jump : seconds from the newest time from which times are implausible; see `StreamClock`
+    note : called with a sentence on each sensor that is not described
+    """
+
+    def __init__(
+        self,
+        sensors: Sensors = NO_SENSORS,
+        camera: GroundCamera | None = None,
+        jump: float = PLAUSIBLE,
+        note: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._sensors, self._camera, self._jump, self._note = sensors, camera, jump, note
+        self._offsets = {one.clock_offset or 0.0 for one in sensors.values()}
+        self._orders: dict[Group, _Order] = {}
+        self._noted: set[str] = set()
+
+    @property
+    def has_clocks(self) -> bool:
+        """Return whether a sensor has a clock offset."""
+        return any(self._offsets)
+
+    def corrected(self, observation: Observation) -> Observation:
+        """Return an observation without the known errors of its sensor, in the frame that it is in.
+
+        Raises
+        ------
+        InputError
+            For a pixel of no point on the ground.
+        """
+        if not self._sensors:
+            return observation
+        sensor = self._sensors.get(observation.sensor)
+        if sensor is None:
+            self._note_unknown(observation.sensor)
+            return observation
+        return without_errors(self._placed(observation, sensor), sensor)
+
+    def true_time(self, t: float, sensor: str | None) -> float:
+        """Return the time (seconds) of a row without the clock offset of its sensor.
+
+        ``sensor``: None for the end of a frame of all sensors; InputError if their offsets differ
+        """
+        return t - self._offset(sensor) if self._sensors else t
+
+    def in_order(self, number: int, line: bytes, group: Group, sensor: str | None, t: float) -> list[Waiting]:
+        """Return the lines that need not wait any more once a line came, by their true times.
+
+        Parameters
+        ----------
+        number, line, group : as in `MovingSensors.hold`
+        sensor : of the line; None for the end of a frame of all sensors
+        t : seconds, by the clock of the sensor
+
+        Raises
+        ------
+        InputError
+            As `true_time`.
+        """
+        offset = self._offset(sensor)
+        one = Waiting(number, line, group, sensor, t - offset)
+        found, order = self._order(group)
+        verdict = order.clock.verdict(one.t)
+        if verdict == "unconfirmed":
+            order.clock.wait(None, Observation(one.t), 1)
+            order.jumped.append(one)
+            if len(order.jumped) > MOST_WAITING:
+                found.append(order.jumped.pop(0))
+            return found
+        if verdict == "confirmed":
+            order.clock.confirm()
+            found += order.held
+            order.held, order.newest, order.uncorrected = [], {}, -math.inf
+        found += order.jumped
+        order.jumped = []
+        order.clock.advance(one.t)
+        order.newest[offset] = max(one.t, order.newest.get(offset, -math.inf))
+        order.uncorrected = max(order.uncorrected, t)
+        insort(order.held, one, key=_time)
+        offsets = self._offsets | order.newest.keys()
+        complete = min(order.newest.get(each, -math.inf) for each in offsets)
+        complete = max(complete, order.uncorrected - max(offsets)) + TIME_TOLERANCE
+        first = max(bisect_right(order.held, complete, key=_time), len(order.held) - MOST_WAITING)
+        found += order.held[:first]
+        del order.held[:first]
+        return found
+
+    def rest(self) -> Iterator[Waiting]:
+        """Remove and yield the lines that wait: the input has ended."""
+        for order in self._orders.values():
+            waiting = [*order.held, *order.jumped]
+            order.held, order.jumped = [], []
+            yield from waiting
+
+    def state(self) -> list[Any]:
+        """Return the state to continue from, as JSON-able data."""
+        return [[group, order.state()] for group, order in self._orders.items()]
+
+    def restore(self, state: list[Any]) -> None:
+        """Take over a `state`."""
+        self._orders = {}
+        for group, saved in state:
+            order = self._orders[group] = _Order(StreamClock(self._jump))
+            order.restore(saved)
+
+    def _placed(self, observation: Observation, sensor: Sensor) -> Observation:
+        """Return an observation with the position of its pixel, which is corrected then."""
+        if observation.position is not None or observation.pixel is None:
+            return observation
+        if self._camera is None or sensor.moves:
+            return observation
+        x, y = self._camera.image_to_ground(np.array(observation.pixel)).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+        return replace(observation, position=(x, y))
+
+    def _offset(self, sensor: str | None) -> float:
+        if sensor is not None:
+            described = self._sensors.get(sensor)
+            return 0.0 if described is None else described.clock_offset or 0.0
+        offsets = self._offsets.union(*(order.newest for order in self._orders.values()))
+        if len(offsets) > 1:
+            found = "an end without its sensor, whose clock offset is needed"
+            raise InputError(found, "sensor, the name of the one whose scan ends", column="sensor")
+        return next(iter(offsets), 0.0)
+
+    def _order(self, group: Group) -> tuple[list[Waiting], _Order]:
+        """Return the order of a stream, and the lines of the one longest silent if they are too many."""
+        dropped: list[Waiting] = []
+        order = self._orders.pop(group, None)
+        if order is None:
+            order = _Order(StreamClock(self._jump))
+            if len(self._orders) >= _MOST_STREAMS:
+                silent = self._orders.pop(next(iter(self._orders)))
+                dropped = [*silent.held, *silent.jumped]
+        self._orders[group] = order  # the last with a row
+        return dropped, order
+
+    def _note_unknown(self, sensor: str) -> None:
+        if sensor not in self._noted and len(self._noted) < MOST_SENSORS:
+            self._noted.add(sensor)
+            named = f"the sensor {sensor!r} is" if sensor else "rows without a sensor are"
+            self._note(f"{named} not described")
+
+
+def _time(one: Waiting) -> float:
+    return one.t
