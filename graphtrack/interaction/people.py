@@ -100,9 +100,16 @@ def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
 
     Estimates are weighted by their covariance, observed angles by their concentration; angles with neither
     are exact. Rows without an angle take those of the neighbouring rows, less certain by the time between.
-    With ``online``, missing velocities and angles are computed from the past.
+    With ``online``, missing velocities and angles are computed from the past. Raise InputError for rows of
+    several sensors, whose people are at times of their own.
     """
     chosen = sorted(tracks, key=lambda track: track.track_id)
+    sensors = {
+        name for track in chosen if track.sensor is not None for name in np.unique(track.sensor).tolist()
+    }
+    if len(sensors) > 1:
+        found = f"rows of {len(sensors)} sensors, each with frames of its own"
+        raise InputError(found, "people at common times: estimates of graphtrack smooth --resample")
     parts = [known_rows(track, online) for track in chosen]
     ids = np.array([track.track_id for track in chosen], dtype=np.int64)
     person = np.repeat(np.arange(len(chosen)), [len(part[0]) for part in parts])

@@ -270,8 +270,8 @@ class _Learning:
         times = corrected(self._rows, described).channels["t"]
         order = np.lexsort((self._rows.sensor, times, self._rows.track_id))
         raw = self._rows.taken(order)
-        problem = _Problem(raw, self._sensor[order], len(self._names))
-        problem.begin(self._people_of(corrected(raw, described)), described)
+        people = self._people_of(corrected(raw, described))
+        problem = _Problem(raw, self._sensor[order], people, described)
         free = np.flatnonzero(self._free)
         weight = np.tile(PRIOR_STD, (len(self._names), 1)) ** -2.0
 
@@ -342,17 +342,13 @@ class _Problem:
     ----------
     rows : as they were read, in the order that they have once corrected
     sensor : (n,) number of the sensor
+    people : for the errors at no change
+    sensors : descriptions with these errors
     """
 
-    def __init__(self, rows: Rows, sensor: NDArray[np.int64], count: int) -> None:
-        self._rows, self._sensor, self._count = rows, sensor, count
-        self.people = _People(Model(), {})
-        self._velocity = np.zeros((len(rows), 2))
-
-    def begin(self, people: _People, sensors: Sensors) -> None:
-        """Set the people, and their velocities at no change."""
-        self.people = people
-        states, _ = self._solved(corrected(self._rows, sensors))
+    def __init__(self, rows: Rows, sensor: NDArray[np.int64], people: _People, sensors: Sensors) -> None:
+        self._rows, self._sensor, self.people = rows, sensor, people
+        states, _ = self._solved(corrected(rows, sensors))
         self._velocity = np.nan_to_num(states[:, 2:4])
 
     def _solved(self, rows: Rows) -> tuple[FloatArray, TrackSet]:
@@ -394,7 +390,7 @@ class _Problem:
         found[:, CLOCK] = (self._velocity * force).sum(axis=1)
         found[:, BIAS] = _torque(states[:, 4:], tracks, self.people.model)
         found[:, ROTATION] += found[:, BIAS] + _torque_of_velocity(states[:, 2:4], tracks, self.people.model)
-        total = np.zeros((self._count, len(ERRORS)))
+        total = np.zeros((len(sensors), len(ERRORS)))
         np.add.at(total, sensor, np.nan_to_num(found))
         return total
 

@@ -239,3 +239,23 @@ def test_nothing_is_written_beside_a_truth_of_others(
     done = run_program(command, *paths, program="graphtrack")
     assert done.returncode == 2 and told in done.stderr
     assert not (tmp_path / "found.csv").exists()
+
+
+def test_rows_of_several_sensors_are_refused_until_they_have_common_times() -> None:
+    t = np.arange(20) / 10.0
+    sensor = np.array(["a", "b"] * 10)
+    place = np.column_stack([t, np.zeros(20)])
+    tracks = gt.TrackSet(
+        gt.Track(
+            k,
+            np.arange(20),
+            t,
+            place + np.array([0.0, 0.7 * k]),
+            position_std=np.full(20, 0.05),
+            sensor=sensor,
+        )
+        for k in range(2)
+    )
+    with pytest.raises(gt.InputError, match=r"rows of 2 sensors.*--resample"):
+        gt.groups(tracks)
+    assert len(gt.groups(gt.smooth(tracks, "position", resample=10.0)).frame)

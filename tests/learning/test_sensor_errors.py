@@ -93,9 +93,8 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         "coupling.motion_body_kappa": np.full(people, 5.0),
         "coupling.head_body_kappa": np.full(people, 2.0),
     }
-    problem = _Problem(raw, sensor, 2)
     start = {name: with_errors(one, errors_of(one)) for name, one in scene.items()}
-    problem.begin(_People(Model(), personal), start)
+    problem = _Problem(raw, sensor, _People(Model(), personal), start)
 
     def cost(change: np.ndarray) -> float:
         moved = {n: with_errors(s, errors_of(s) + change[k]) for k, (n, s) in enumerate(start.items())}
