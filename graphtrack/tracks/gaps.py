@@ -256,7 +256,7 @@ def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...
 
 
 def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
-    """Select the rows at multiples of 1/hz seconds after ``origin``, which number their frames; of no sensor."""
+    """Select rows at multiples of 1/hz seconds after ``origin``, which number them; they have no sensor."""
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
