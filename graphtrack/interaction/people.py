@@ -104,12 +104,6 @@ def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
     several sensors, whose people are at times of their own.
     """
     chosen = sorted(tracks, key=lambda track: track.track_id)
-    sensors = {
-        name for track in chosen if track.sensor is not None for name in np.unique(track.sensor).tolist()
-    }
-    if len(sensors) > 1:
-        found = f"rows of {len(sensors)} sensors, each with frames of its own"
-        raise InputError(found, "people at common times: estimates of graphtrack smooth --resample")
     parts = [known_rows(track, online) for track in chosen]
     ids = np.array([track.track_id for track in chosen], dtype=np.int64)
     person = np.repeat(np.arange(len(chosen)), [len(part[0]) for part in parts])
@@ -118,7 +112,17 @@ def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:
     frames, t, position, velocity, body, head = (column[order] for column in joined)
     frame, first = np.unique(frames, return_index=True)
     bounds, age = np.append(first, len(frames)), np.zeros(len(frames))
+    if any(track.sensor is not None for track in chosen):
+        _check_common_times(person[order], frames, t)
     return People(ids, frame, t[first], bounds, person[order], position, velocity, body, head, age)
+
+
+def _check_common_times(person: IntArray, frames: IntArray, t: FloatArray) -> None:
+    """Raise InputError unless a frame of sorted rows (n,) is one time, with each person once."""
+    same = np.diff(frames) == 0
+    if (same & ((np.abs(np.diff(t)) > TIME_TOLERANCE) | (np.diff(person) == 0))).any():
+        found = "rows of several sensors, each with frames of its own"
+        raise InputError(found, "people at common times: estimates of graphtrack smooth --resample")
 
 
 def _nobody() -> list[np.ndarray]:

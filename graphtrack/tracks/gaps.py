@@ -256,12 +256,12 @@ def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...
 
 
 def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
-    """Select rows at multiples of 1/hz seconds after ``origin``, which number them; they have no sensor."""
+    """Select the rows at multiples of 1/hz seconds after ``origin``, and number their frames by them."""
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
         on = np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE
-        return replace(track[on], frame=ticks[on].astype(np.int64), sensor=None)
+        return replace(track[on], frame=ticks[on].astype(np.int64))
 
     return tracks.map(select)
 

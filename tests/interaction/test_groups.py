@@ -242,20 +242,14 @@ def test_nothing_is_written_beside_a_truth_of_others(
 
 
 def test_rows_of_several_sensors_are_refused_until_they_have_common_times() -> None:
-    t = np.arange(20) / 10.0
-    sensor = np.array(["a", "b"] * 10)
-    place = np.column_stack([t, np.zeros(20)])
-    tracks = gt.TrackSet(
-        gt.Track(
-            k,
-            np.arange(20),
-            t,
-            place + np.array([0.0, 0.7 * k]),
-            position_std=np.full(20, 0.05),
-            sensor=sensor,
-        )
+    count = 20
+    frame, sensor = np.repeat(np.arange(count), 2), np.tile(["a", "b"], count)
+    t = 0.1 * frame + 0.05 * (sensor == "b")
+    noise = np.full(len(t), 0.05)
+    tracks = TrackSet(
+        Track(k, frame, t, np.column_stack([t, 0.7 * k + 0.0 * t]), position_std=noise, sensor=sensor)
         for k in range(2)
     )
-    with pytest.raises(gt.InputError, match=r"rows of 2 sensors.*--resample"):
+    with pytest.raises(InputError, match=r"rows of several sensors.*--resample"):
         gt.groups(tracks)
     assert len(gt.groups(gt.smooth(tracks, "position", resample=10.0)).frame)
