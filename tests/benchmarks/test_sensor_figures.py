@@ -10,7 +10,7 @@ import math
 import os
 import time
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -54,17 +54,16 @@ LEARNED = ("shift x (m)", "shift y (m)", "rotation (rad)", "angle bias (rad)", "
 
 
 def test_one_sensor_needs_nothing() -> None:
-    """A column with one name changes neither estimates nor identities; frames are not filled with it."""
+    """A column with one name changes neither estimates nor identities."""
     people = crossing(np.random.default_rng(1), people=6, seconds=10.0, fps=10.0)
     sensor = gt.Sensor(position_std=0.1, detection_probability=0.9, simulation=SimulatedSensor())
     rows = table_of(observe(people, {"camera": sensor}, rng=np.random.default_rng(2)))
-    for table, find in ((identified(rows), partial(gt.smooth, fill=False)), (anonymous(rows), gt.associate)):
+    for table, find in ((identified(rows), gt.smooth), (anonymous(rows), gt.associate)):
         one, other = find(table), find(table.drop(columns="sensor"))
         assert [track.track_id for track in one] == [track.track_id for track in other]
         for track, same in zip(one, other, strict=True):
-            observed = np.isfinite(same.inputs["row"])
-            np.testing.assert_array_equal(track.inputs["row"], same.inputs["row"][observed])
-            np.testing.assert_allclose(track.position, same.position[observed], atol=1e-12)
+            np.testing.assert_array_equal(track.inputs["row"], same.inputs["row"])
+            np.testing.assert_allclose(track.position, same.position, atol=1e-12)
 
 
 # -- ellipses ------------------------------------------------------------------------------------------------
