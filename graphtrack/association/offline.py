@@ -102,7 +102,7 @@ class LearnedScene:
     scene: SceneParameters
     velocities: NDArray[np.void]  # see `velocities_of`
     rates: GroundRates
-    of_sensors: SensorRates
+    sensor_rates: SensorRates
     appearance: AppearanceEvidence
 
 
@@ -114,7 +114,7 @@ def learn_from_detections(detections: Detections, known: Known) -> LearnedScene:
     appearance = search.appearance_of(identity)
     search.adopt(scene)
     rates = learn_ground_rates(search.chains, identity)
-    return LearnedScene(scene, search.velocities, rates, search.of_sensors, appearance)
+    return LearnedScene(scene, search.velocities, rates, search.sensor_rates, appearance)
 
 
 def repair_detections(
@@ -171,14 +171,14 @@ class _Search(Moves):
         scene = replace(first_guess(alone) if start is None else start, **known)
         count, described = detections.scans.shape[1], detections.sensors
         self._views = Views.of(detections.position, detections.sensor, count, described)
-        self.of_sensors = SensorRates.even(count)
+        self.sensor_rates = SensorRates.even(max(count, 1))
         scene = with_longest_gap(scene, self._views, known)
         self.velocities = first_velocities(alone, scene, known)
         channels = detections.channels
         self._std = channels.get("position_std", np.full(n, np.nan))
         chains = chains_of(detections)
         packed = scene_of(scene, detections.step_seconds)
-        super().__init__(chains, packed._replace(weights=self.of_sensors.weights), remembers=True)
+        super().__init__(chains, packed._replace(weights=self.sensor_rates.weights), remembers=True)
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
         self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
@@ -237,7 +237,7 @@ class _Search(Moves):
             self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
         packed = scene_of(scene, self.detections.step_seconds, self.velocities)
         packed = packed._replace(
-            trust=self._trust, views=self._views.heights, weights=self.of_sensors.weights
+            trust=self._trust, views=self._views.heights, weights=self.sensor_rates.weights
         )
         self.packed = self._appearance.in_scene(packed)
         self.chains = self._appearance.in_chains(self.chains, self._descriptors)
@@ -246,8 +246,7 @@ class _Search(Moves):
         self.chains.rows["birth"], self.chains.rows["death"] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
-        if len(gains := self.of_sensors.gains):
-            self.chains.gain[:] += gains[self.detections.sensor]
+        self.chains.gain[:] += self.sensor_rates.gains[self.detections.sensor]
         model, each = self._appearance.model, 0.0
         if model is not None:
             each = constancy(self.chains, identity, model, self._like_first())
@@ -268,7 +267,7 @@ class _Search(Moves):
         known = self._known
         if detections.scans.shape[1]:
             rates = SensorRates.learned(self.chains, identity, self._views, detections.sensors)
-            self.of_sensors = rates
+            self.sensor_rates = rates
             # From gaps, chance and occlusion can hardly be told apart: most gaps are of one scan.
             known = {"detection_probability": float(rates.detection.mean()), **known}
         seconds = self.packed.frame_seconds

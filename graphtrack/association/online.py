@@ -492,7 +492,7 @@ class OnlineAssociation(Moves, Saved):
             self._views = self._views.with_sensor(self._described.get(sensor, Sensor()))
             # Before all rates are learned, some that are described compare with nothing.
             known = self._descriptions if self.learned else ()
-            self._rates = self._rates.of(len(self.sensors), known)
+            self._rates = self._rates.extended(len(self.sensors), known)
             if len(self.sensors) == 2:
                 self._widen_views(self.chains.position, self.chains.sensor)
                 self._recent = [0] * len(self._intervals)
@@ -647,7 +647,7 @@ class OnlineAssociation(Moves, Saved):
             found = history.learned(self.known, self._descriptions)
             self.scene, self._velocities = found.scene, found.velocities
             self._ground_rates, self._appearance = found.rates, found.appearance
-            self._rates = found.of_sensors.of(len(self.sensors))
+            self._rates = found.sensor_rates.extended(len(self.sensors))
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
         elif not history.learnings:
             of_sensors: dict[str, Any] = {"sensor": chains.sensor, "scans": chains.scans}

@@ -71,7 +71,7 @@ class SensorRates:
                 false[k] = max(one.false_density, 1e-9)
         return SensorRates(np.clip(detection, *_BOUNDS), false)
 
-    def of(self, count: int, described: Sequence[Sensor] = ()) -> SensorRates:
+    def extended(self, count: int, described: Sequence[Sensor] = ()) -> SensorRates:
         """Return those of more sensors, of which nothing is known except what is described."""
         more = (0, count - len(self.detection))
         means = (float(one.mean()) if len(one) else 0.5 for one in (self.detection, self.false))

@@ -38,10 +38,8 @@ def with_rates(rows: Rows, identity: NDArray[np.int64], sensors: Sensors) -> dic
     rows = corrected(replace(rows, track_id=identity, has_identity=True, labels={}), sensors)
     rows, detections = detections_of(rows, sensors)
     assert rows.sensor is not None
-    place = np.unique(rows.track_id[rows.track_id >= 0], return_inverse=True)[1]
-    numbers = np.full(len(rows), -1)
-    numbers[rows.track_id >= 0] = place
-    numbers = numbers[detections.row]
+    place = np.unique(rows.track_id, return_inverse=True)[1]
+    numbers = np.where(rows.track_id < 0, -1, place)[detections.row]
     chains = chains_of(detections)
     link_by(chains, numbers)
     names = np.unique(rows.sensor).tolist()

@@ -256,10 +256,11 @@ class _Learning:
             (track, one.track) for track, one in zip(tracks, found, strict=True) if isinstance(one, Solution)
         ]
         scales = noise_scales(*zip(*pairs, strict=True)) if pairs else {}
-        for name in self._unscaled & scales.keys():
+        unscaled = self._unscaled & scales.keys()
+        for name in unscaled:
             one = self._sensors[name]
             self._sensors[name] = replace(one, position_scale=scales[name] * (one.position_scale or 1.0))
-        if self._unscaled & scales.keys():
+        if unscaled:
             self.step()
 
     def step(self) -> bool:
