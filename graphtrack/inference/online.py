@@ -51,7 +51,7 @@ from graphtrack.inference.state import (
 from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
-from graphtrack.model.observation import OwnParameters, differs, seconds_between
+from graphtrack.model.observation import OwnParameters, differs, on_the_ground, seconds_between
 from graphtrack.model.same_time import APART, SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
@@ -220,13 +220,7 @@ class OnlineSolver:
 
     def usable(self, observation: Observation) -> Observation:
         """Return the checked observation, with the position of its pixel; InputError as `update`."""
-        observation = checked(observation)
-        if observation.position is not None or observation.pixel is None or self.camera is None:
-            return observation
-        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
-        return replace(observation, position=(x, y))
+        return on_the_ground(checked(observation), self.camera)
 
     @staticmethod
     def update_together(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from graphtrack.errors import NO_POSITION, SolveError
+from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.packages import gtsam
@@ -91,6 +91,22 @@ def channels_of(observation: Observation) -> dict[str, FloatArray]:
     """Return the channels that an observation has, each with one row."""
     given = ((name, getattr(observation, name)) for name in CHANNELS)
     return {name: np.array([value], float) for name, value in given if value is not None}
+
+
+def on_the_ground(observation: Observation, camera: GroundCamera | None) -> Observation:
+    """Return an observation with the position of its pixel, if it has no other and there is a camera.
+
+    Raises
+    ------
+    InputError
+        For a pixel of no point on the ground.
+    """
+    if observation.position is not None or observation.pixel is None or camera is None:
+        return observation
+    x, y = camera.image_to_ground(np.array(observation.pixel)).tolist()
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+    return replace(observation, position=(x, y))
 
 
 def without_errors(observation: Observation, sensor: Sensor) -> Observation:

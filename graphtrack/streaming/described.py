@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from bisect import bisect_right, insort
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Observation
-from graphtrack.model.observation import without_errors
+from graphtrack.model.observation import on_the_ground, without_errors
 from graphtrack.saved import real
 from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
 from graphtrack.streaming.moving import MOST_SENSORS, MOST_WAITING, Group, Waiting
-from graphtrack.tracks.sensors import NO_SENSORS, Sensor, Sensors
+from graphtrack.tracks.sensors import NO_SENSORS, Sensors
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 _MOST_STREAMS = 256
@@ -106,7 +104,8 @@ class DescribedSensors:
         if sensor is None:
             self._note_unknown(observation.sensor)
             return observation
-        return without_errors(self._placed(observation, sensor), sensor)
+        camera = None if sensor.moves else self._camera
+        return without_errors(on_the_ground(observation, camera), sensor)
 
     def true_time(self, t: float, sensor: str | None) -> float:
         """Return the time (seconds) of a row without the clock offset of its sensor.
@@ -174,17 +173,6 @@ class DescribedSensors:
         for group, saved in state:
             order = self._orders[group] = _Order(StreamClock(self._jump))
             order.restore(saved)
-
-    def _placed(self, observation: Observation, sensor: Sensor) -> Observation:
-        """Return an observation with the position of its pixel, which is corrected then."""
-        if observation.position is not None or observation.pixel is None:
-            return observation
-        if self._camera is None or sensor.moves:
-            return observation
-        x, y = self._camera.image_to_ground(np.array(observation.pixel)).tolist()
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
-        return replace(observation, position=(x, y))
 
     def _offset(self, sensor: str | None) -> float:
         if sensor is not None:
