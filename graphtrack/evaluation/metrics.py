@@ -6,7 +6,7 @@ Intervals are paired bootstraps over people: every method uses the same samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -131,7 +131,10 @@ class Interval:
 
 
 def bootstrap(
-    statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
+    statistic: Callable[..., FloatArray],
+    *samples: FloatArray,
+    rng: np.random.Generator,
+    units: Sequence[Hashable] | None = None,
 ) -> Interval:
     """Return the 95 % percentile bootstrap interval of a statistic of paired samples.
 
@@ -140,22 +143,39 @@ def bootstrap(
     statistic : function of arrays (..., n), over the last axis
     samples : (n,) each, one number a person; people with any NaN are left out
     rng : generator of the resampling
+    units : what each number comes from, such as an actor or a style, (n,): units are drawn, with all of their
+        numbers; by default each number is a unit of its own
 
     Returns
     -------
     Interval
-        All NaN without people; bounds are NaN for fewer than `FEWEST`.
+        All NaN without people; bounds are NaN for fewer than `FEWEST` units.
     """
     table = np.stack(samples)
-    table = table[:, np.isfinite(table).all(axis=0)]
-    n = table.shape[1]
-    if n == 0:
+    known = np.isfinite(table).all(axis=0)
+    table = table[:, known]
+    if not known.any():
         return Interval(float("nan"), float("nan"), float("nan"))
     value = float(statistic(*table))
-    if n < FEWEST:
+    if units is None:
+        n = table.shape[1]
+        drawn = statistic(*table[:, rng.integers(0, n, (RESAMPLES, n))]) if n >= FEWEST else None
+    else:
+        members: dict[Hashable, list[int]] = {}
+        for k, one in enumerate(np.flatnonzero(known).tolist()):
+            members.setdefault(units[one], []).append(k)
+        groups, n = [np.array(some) for some in members.values()], len(members)
+        draws = rng.integers(0, n, (RESAMPLES, n)) if n >= FEWEST else None
+        drawn = (
+            None
+            if draws is None
+            else np.array(
+                [statistic(*table[:, np.concatenate([groups[k] for k in draw])]) for draw in draws.tolist()]
+            )
+        )
+    if drawn is None:
         return Interval(value, float("nan"), float("nan"))
-    drawn = table[:, rng.integers(0, n, (RESAMPLES, n))]
-    low, high = np.percentile(statistic(*drawn), [2.5, 97.5])
+    low, high = np.percentile(drawn, [2.5, 97.5])
     return Interval(value, float(low), float(high))
 
 

@@ -95,19 +95,21 @@ def travel_velocity(track: Track, window: int = WINDOW_FRAMES) -> FloatArray:
     return np.where(number > 0, (sums[high] - sums[low]) / np.maximum(number, 1), np.nan)
 
 
-def head_deviation(track: Track, *, window: int = WINDOW_FRAMES) -> FloatArray:
+def head_deviation(track: Track, *, window: int = WINDOW_FRAMES, slow: bool = False) -> FloatArray:
     """ε_t = θ^v_t − θ^g_t (n,) in radians; NaN where the head is unknown or the person hardly moves.
 
     Parameters
     ----------
     track : positions and head
     window : frames over which the velocity is averaged
+    slow : the frames below `MOVING_SPEED` in place of the others
     """
     if track.head is None:
         return np.full(len(track), np.nan)
     velocity = travel_velocity(track, window)
     with np.errstate(invalid="ignore"):
         moves = np.linalg.norm(velocity, axis=1) >= MOVING_SPEED
+    moves = np.isfinite(velocity).all(axis=1) & (~moves if slow else moves)
     return np.where(moves, difference(direction(velocity), track.head), np.nan)
 
 
@@ -133,11 +135,14 @@ def future_share(tracks: Iterable[Track]) -> float:
 
 
 def deviation_statistics(
-    tracks: Iterable[Track], name: str, *, window: int = WINDOW_FRAMES
+    tracks: Iterable[Track], name: str, *, window: int = WINDOW_FRAMES, slow: bool = False
 ) -> DeviationStatistics | None:
-    """Mean, spread and histogram of the deviations of many people; None if nobody moves with a known head."""
+    """Mean, spread and histogram of the deviations of many people; None if nobody moves with a known head.
+
+    ``slow``: of the frames in which they hardly move, see `head_deviation`.
+    """
     tracks = list(tracks)
-    deviations = [head_deviation(track, window=window) for track in tracks]
+    deviations = [head_deviation(track, window=window, slow=slow) for track in tracks]
     deviations = [found[np.isfinite(found)] for found in deviations]
     pooled = np.concatenate([np.empty(0), *deviations])
     if not len(pooled):
@@ -178,7 +183,7 @@ def _parts(settings: Settings) -> Parts:
         f"ε = direction of the {WINDOW_FRAMES}-frame mean velocity − head, where people move at 0.3 m/s or "
         "more; circular mean, root mean square about it."
     )
-    sources, found = list(_sources(settings)), []
+    sources, found, slow = list(_sources(settings)), [], []
     settings.expect(len(sources))
     for name, tracks, window in sources:
         one = deviation_statistics(tracks, name, window=window)
@@ -186,6 +191,8 @@ def _parts(settings: Settings) -> Parts:
             yield f"{name} is left out: found no person in {name} who moves with a known head"
         else:
             found.append(one)
+            standing = deviation_statistics(tracks, name, window=window, slow=True)
+            slow += [standing] if standing is not None else []
             if one.leaks_the_future:
                 yield (
                     f"{name}: {one.future:.0%} of the heads are exactly the direction to a later position; "
@@ -200,23 +207,24 @@ def _parts(settings: Settings) -> Parts:
     yield (
         "UCY is left out on purpose: most of its gaze is the direction to the next control point, the future."
     )
-    yield Table.of(
-        "Direction of travel minus head",
-        (
-            {
-                "data": one.name,
-                "people": one.people,
-                "frames": one.frames,
-                "mean (°)": float(np.degrees(one.mean)),
-                "std (°)": float(np.degrees(one.std)),
-                "within 22.5° (%)": 100.0 * _within(one, np.radians(22.5)),
-                "heads equal to a later direction (%)": 100.0 * one.future,
-            }
-            for one in found
-        ),
-    )
+    yield Table.of("Direction of travel minus head", _rows(found))
+    if slow:
+        yield Table.of(f"The same of people slower than {MOVING_SPEED:g} m/s", _rows(slow))
     yield Table.of("Paper / ours: the same statistic; only CAVIAR is the same source", _published(found))
     yield _figure(found)
+
+
+def _rows(found: Iterable[DeviationStatistics]) -> Iterator[Row]:
+    for one in found:
+        yield {
+            "data": one.name,
+            "people": one.people,
+            "frames": one.frames,
+            "mean (°)": float(np.degrees(one.mean)),
+            "std (°)": float(np.degrees(one.std)),
+            "within 22.5° (%)": 100.0 * _within(one, np.radians(22.5)),
+            "heads equal to a later direction (%)": 100.0 * one.future,
+        }
 
 
 def _within(one: DeviationStatistics, reach: float) -> float:

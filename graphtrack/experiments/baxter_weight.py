@@ -24,10 +24,12 @@ from graphtrack.experiments.harness import (
     evenly,
     fit,
     from_the_past,
+    halves,
     model_of,
     one_step_ahead,
     paired,
     thinned,
+    unit_of,
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Parameters
@@ -78,17 +80,20 @@ class Found:
     ----------
     rate : λ as a function of the deviation
     nats : (n,) mean log-likelihood of an observed position, of each judged track
+    units : (n,) people, or styles of motion capture
     """
 
     rate: GrowingRate
     nats: FloatArray
+    units: list[str]
 
 
 def sources(settings: Settings) -> list[WeightData]:
     """The corpus at two detection rates and, where it is there, motion capture."""
     found, count = [], settings.few(6)
+    parts: list[list[Track]]
     for share in (1.0, 0.6):
-        parts: list[list[Track]] = []
+        parts = []
         for stream, tracks in ((1, max(count // 3, 1)), (2, count)):
             corpora = [
                 simulate_behaviour(b, CorpusParameters(tracks=tracks), rng=settings.rng(stream, b)).detected(
@@ -102,10 +107,19 @@ def sources(settings: Settings) -> list[WeightData]:
     if clips is None:
         return found
     for i, (name, patterns) in enumerate(GAITS.items()):
-        chosen = evenly(clips.select(*patterns).map(thinned), settings.few(80, 6), 2.5)
-        noisy = list(add_noise(chosen, position_std=0.05, head_kappa=4.0, rng=settings.rng(3, i)))
-        rare = [_thinned(track) for track in noisy]
-        found.append(WeightData(name, 1.0, rare[::2], rare[1::2]))
+        parts = [
+            [
+                _thinned(track)
+                for track in add_noise(
+                    evenly(half, settings.few(40, 3), 2.5),
+                    position_std=0.05,
+                    head_kappa=4.0,
+                    rng=settings.rng(3, i, k),
+                )
+            ]
+            for k, half in enumerate(halves(clips.select(*patterns).map(thinned)))
+        ]
+        found.append(WeightData(name, 1.0, *parts))
     return found
 
 
@@ -180,7 +194,8 @@ def fitted(source: WeightData, method: str, evaluations: int, progress: Progress
         # Once more from there, so that no weight is ahead for having been searched for longer.
         best = fit(cost, best, evaluations=2 * evaluations)
         rest = best[2:] if graph else best[1:]
-        found[weight] = Found(_rate(source, sign, rest), nats(source.judged, sign, best, False))
+        units = [unit_of(track) for track in source.judged]
+        found[weight] = Found(_rate(source, sign, rest), nats(source.judged, sign, best, False), units)
     return found
 
 
@@ -226,8 +241,8 @@ def _parts(settings: Settings) -> Parts:
     )
     yield (
         "Motion capture: positions twice a second with 0.05 m of noise, heads ten times a second with "
-        "κ = 4. Differences in nats for an observed position, paired by track, with 95 % bootstrap "
-        "intervals."
+        "κ = 4; fitted and judged clips have other styles. Differences in nats for an observed position, "
+        "paired by track, with 95 % bootstrap intervals over people, or over styles of motion capture."
     )
 
 
@@ -259,7 +274,7 @@ def _published(
         }
         for weight, ends in ENDS.items():
             nats = by_weight[weight].nats, by_weight[CONSTANT].nats
-            record |= paired(f"{weight} − constant (nats)", *nats, rng, *ends)
+            record |= paired(f"{weight} − constant (nats)", *nats, rng, *ends, units=by_weight[weight].units)
         yield record
 
 

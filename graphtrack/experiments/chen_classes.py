@@ -37,6 +37,7 @@ from graphtrack.experiments.harness import (
     Settings,
     Table,
     evenly,
+    unit_of,
 )
 from graphtrack.geometry.angles import FloatArray, class_centres, likelihood_at
 from graphtrack.geometry.camera import GroundCamera
@@ -84,7 +85,7 @@ def image_scores(data: str, tracks: TrackSet, classify: Callable[[TrackSet], Tra
             estimates = [particle_filter(one, preset, camera=camera, options=options).track for one in given]
             errors = [errors_of(*pair) for pair in zip(estimates, tracks, strict=True)]
             found |= by_angle((preset, method), errors)
-    return Scores(data, len(tracks), found)
+    return Scores(data, len(tracks), found, [unit_of(track) for track in tracks])
 
 
 def camera_before(tracks: TrackSet) -> GroundCamera:
@@ -155,7 +156,7 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
     models = {(_PRESET, name): Model(_PRESET) for name in OTHER_ENGINES}
     errors |= estimated_errors(tracks, OTHER_ENGINES, models, progress)
     groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHER_ENGINES)}
-    return detail("Every engine, with joint", [Scores(known.data, known.people, errors)], groups, rng)
+    return detail("Every engine, with joint", [replace(known, errors=errors)], groups, rng)
 
 
 FLIPPED, AT_RANDOM = 0.2, 0.1
@@ -166,11 +167,6 @@ PUBLISHED_TITLE = (
 )
 
 METHODS: Methods = {
-    "particle": ("online", lambda track, model: particle_filter(track, model).track),
-    "particle, closest class": (
-        "online",
-        lambda track, model: particle_filter(track, model, options=ParticleOptions(pose="closest")).track,
-    ),
     "graph, chain": (
         "online",
         lambda track, model: track_online(track, model, engine="chain", lag=LAG, constants="default"),
@@ -220,7 +216,8 @@ def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
     """Every method on every person, with each of the presets."""
     observed_errors = [[most_likely_error(track, track, angle) for angle in ANGLES] for track in tracks]
     estimates = estimated_errors(tracks, METHODS, default_models(METHODS), progress)
-    return Scores(data, len(tracks), by_angle(("observation", ""), observed_errors) | estimates)
+    errors = by_angle(("observation", ""), observed_errors) | estimates
+    return Scores(data, len(tracks), errors, [unit_of(track) for track in tracks])
 
 
 def _parts(settings: Settings) -> Parts:
@@ -252,12 +249,12 @@ def _parts(settings: Settings) -> Parts:
         "classifier are not."
     )
     yield (
-        "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval. "
-        "Every method gets the same frames and default parameters. Online estimates use the past alone; the "
-        f"graphs keep {LAG:g} s open."
+        "Mean absolute error per person, mean over people, with its 95 % bootstrap interval over styles of "
+        "motion capture. Every method gets the same frames and default parameters. Online estimates use the "
+        f"past alone; the graphs keep {LAG:g} s open."
     )
     yield (
-        "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
+        "closest class: eq. 13–14, the score of the class that is closest to a particle; turned once: their "
         "smooth mixture, which the graph has. joint-body is what Chen et al. (2011) call separate (κ₂ = 0)."
     )
     yield (

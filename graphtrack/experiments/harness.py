@@ -234,6 +234,28 @@ def evenly(tracks: TrackSet, count: int, least_seconds: float = 0.0) -> TrackSet
     return tracks.with_tracks(long)
 
 
+def unit_of(track: Track) -> str:
+    """Return what a track is drawn with when intervals are computed: the style of a clip, else the person.
+
+    Motion capture has three actors, whom its labels do not name, and many clips of each style: clips of one
+    style are no independent people. The clip ``dataset-2_walk-turn-left_active_003`` has "dataset-2 active".
+    """
+    parts = (track.label or "").split("_")
+    if len(parts) == 4 and parts[0].startswith("dataset-"):
+        return f"{parts[0]} {parts[2]}"
+    return str(track.track_id)
+
+
+def halves(tracks: TrackSet) -> tuple[TrackSet, TrackSet]:
+    """Return tracks to fit on and tracks to judge, of other units (`unit_of`), every other one."""
+    units = sorted({unit_of(track) for track in tracks})
+    fitted = set(units[::2])
+    return (
+        tracks.with_tracks(track for track in tracks if unit_of(track) in fitted),
+        tracks.with_tracks(track for track in tracks if unit_of(track) not in fitted),
+    )
+
+
 def held_out(settings: Settings) -> tuple[TrackSet, TrackSet] | None:
     """Return clips that nothing was fitted to, those of odd place: ordinary ones and those of `ASKANCE`."""
     recording = settings.tracks(*MOCAP)
@@ -261,9 +283,11 @@ def paired(
     rng: np.random.Generator,
     low: str = "low",
     high: str = "high",
+    *,
+    units: Sequence[str] | None = None,
 ) -> dict[str, Cell]:
-    """Cells of the mean of first − second (n,) over people, with its 95 % bootstrap interval."""
-    return interval_cells(name, bootstrap(mean_difference, first, second, rng=rng), low, high)
+    """Cells of the mean of first − second (n,) over people, with its 95 % bootstrap interval over units."""
+    return interval_cells(name, bootstrap(mean_difference, first, second, rng=rng, units=units), low, high)
 
 
 def _native(cell: Cell) -> Cell:
@@ -427,6 +451,11 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     return tuple(np.exp(found.x).tolist())
 
 
+def at_limit(start: float, found: float) -> bool:
+    """Whether a search of `fit` ended where it may go no further, `REACH` times its start."""
+    return bool(abs(np.log(found / start)) > np.log(REACH) - 0.1)
+
+
 def fitted_model(
     start: Model, names: Sequence[str], cost: Callable[[Model], float], evaluations: int
 ) -> Model:
@@ -510,10 +539,10 @@ def fitted_graph(
 
 
 def graph_predictions(
-    track: Track, graphs: Mapping[str, Model]
+    track: Track, graphs: Mapping[str, Model], engines: Mapping[str, OnlineEngine] = ENGINES
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Name, one-step predictions (n, 2) and log-likelihoods (n,) of each graph, online, by both engines."""
-    for (name, model), (ending, engine) in product(graphs.items(), ENGINES.items()):
+    """Name, one-step predictions (n, 2) and log-likelihoods (n,) of each graph, online, by each engine."""
+    for (name, model), (ending, engine) in product(graphs.items(), engines.items()):
         estimate = track_online(track, model, engine=engine, lag=LAG, constants="default")
         yield (name + ending, *one_step_ahead(estimate, track, model))
 

@@ -264,6 +264,39 @@ def strollers(
     return noisy.map(observed)
 
 
+def standers(
+    rng: np.random.Generator,
+    habits: StrollerParameters | None = None,
+    *,
+    people: int = 16,
+    seconds: float = 20.0,
+    fps: float = 10.0,
+) -> TrackSet:
+    """Simulate people who stand and turn on the spot, as in CHIL (Chen et al. 2011, §4.3): the truth alone.
+
+    The body turns ``turns_per_minute`` times by 30° to 150°, the head ahead of it, with glances; the place
+    sways by 3 cm. Of the habits, those of speed and stops have no part.
+    """
+    habits = habits or StrollerParameters()
+    t = np.arange(0.0, seconds, _STROLLER_GRID)
+    frame = np.arange(round(seconds * fps))
+    tracks = []
+    for k in range(people):
+        course = np.full_like(t, rng.uniform(-np.pi, np.pi))
+        for begin in _times(t, habits.turns_per_minute, rng):
+            turn = rng.choice([-1.0, 1.0]) * rng.uniform(np.radians(30.0), np.radians(150.0))
+            course += turn * _ramp(t, begin, abs(turn) / (rng.uniform(0.4, 1.0) * habits.fastest_turn))
+        body = _lagged(course, habits.body_lag) + np.radians(4.0) * _smooth_noise(t, 2.0, rng)
+        ahead = _lagged(np.interp(t + habits.head_lead, t, course), 0.1)
+        head = ahead + _glances(t, habits, rng) + np.radians(3.0) * _smooth_noise(t, 1.0, rng)
+        place = rng.uniform(-3.0, 3.0, 2)
+        sway = np.stack([0.03 * _smooth_noise(t, 2.0, rng) for _ in range(2)])
+        x, y, at_body, at_head = (np.interp(frame / fps, t, one) for one in (*sway, body, head))
+        position = place + np.column_stack([x, y])
+        tracks.append(Track(k, frame, frame / fps, position, body=wrap(at_body), head=wrap(at_head)))
+    return TrackSet(tuple(tracks))
+
+
 def full_turns_too_many(estimate: Track, truth: Track) -> tuple[int, int]:
     """Count stops over which the estimated body turns by 180° more than the true body, and all stops.
 

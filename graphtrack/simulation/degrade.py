@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction, wrap
@@ -42,6 +43,7 @@ def add_noise(
     position_std: float | None = None,
     body_kappa: float | None = None,
     head_kappa: float | None = None,
+    persistence: float | None = None,
     rng: np.random.Generator,
 ) -> TrackSet:
     """Take the tracks' values as the truth, and observe them with noise.
@@ -56,6 +58,8 @@ def add_noise(
     tracks : exact tracks, in any form that `graphtrack.solve` takes
     position_std : metres, 1-σ of each axis; None: positions without noise
     body_kappa, head_kappa : von Mises concentrations, ≥ 0; None: angles without noise
+    persistence : seconds that an error of an angle lasts in the mean (exponential): errors Δt apart have the
+        correlation exp(−Δt / persistence); None: independent errors
     rng : generator of the noise
 
     Raises
@@ -65,12 +69,17 @@ def add_noise(
     """
     check_within(0.0, LARGEST_METRES, position_std=position_std)
     check_within(0.0, LARGEST_CONCENTRATION, body_kappa=body_kappa, head_kappa=head_kappa)
+    check_within(0.0, LARGEST_SECONDS, persistence=persistence)
     kappas = {"body": body_kappa, "head": head_kappa}
-    return tracks_given(tracks).map(lambda track: _noisy(track, position_std, kappas, rng))
+    return tracks_given(tracks).map(lambda track: _noisy(track, position_std, kappas, persistence, rng))
 
 
 def _noisy(
-    track: Track, position_std: float | None, kappas: Mapping[str, float | None], rng: np.random.Generator
+    track: Track,
+    position_std: float | None,
+    kappas: Mapping[str, float | None],
+    persistence: float | None,
+    rng: np.random.Generator,
 ) -> Track:
     true_position = motion(track)
     changes: dict[str, Any] = {"true_position": true_position, "velocity": None, "covariance": None}
@@ -88,11 +97,22 @@ def _noisy(
         changes[f"true_{name}"] = truth
         if kappa is None or truth is None:
             continue
-        angles = wrap(truth + rng.vonmises(0.0, kappa, len(track)))
+        errors = rng.vonmises(0.0, kappa, len(track))
+        angles = wrap(truth + errors[_lasting(track, persistence, rng)])
         if observed is not None:
             angles[~np.isfinite(observed)] = np.nan
         changes |= {name: angles, f"{name}_kappa": np.full(len(track), kappa), f"{name}_likelihood": None}
     return replace(track, **changes)
+
+
+def _lasting(track: Track, persistence: float | None, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return for each frame (n,) the frame whose error it has, as a renewal process of that mean duration."""
+    frames = np.arange(len(track))
+    if not persistence:
+        return frames
+    renewed = rng.random(len(track)) >= np.exp(-track.dt / persistence)
+    renewed[:1] = True
+    return np.maximum.accumulate(np.where(renewed, frames, 0))
 
 
 def motion(track: Track) -> FloatArray:
@@ -215,6 +235,7 @@ def add_class_likelihoods(
     *,
     body: FloatArray | None = None,
     head: FloatArray | None = None,
+    persistence: float | None = None,
     rng: np.random.Generator,
 ) -> TrackSet:
     """Observe the orientations of tracks by classifiers with known confusion matrices.
@@ -222,13 +243,16 @@ def add_class_likelihoods(
     In each frame with a known orientation, a class is drawn from the confusion matrix's row of its true class
     (the nearest centre, 360·k/n degrees), and the likelihoods are those of the drawn class. The orientations
     become the truth unless there is one. ``body`` (8, 8), ``head`` (12, 12): confusions, rows true classes;
-    None: `confusion_matrix`. Raise InputError for another shape, or rows that are no distributions.
+    None: `confusion_matrix`. ``persistence``: seconds that a confusion lasts in the mean, as in `add_noise`:
+    the drawn class stays as far from the true one. Raise InputError for another shape, rows that are no
+    distributions, or a negative duration.
     """
+    check_within(0.0, LARGEST_SECONDS, persistence=persistence)
     confusions = {
         name: confusion_matrix(n) if given is None else _checked(name, given, n)
         for name, given, n in (("body", body, BODY_CLASSES), ("head", head, HEAD_CLASSES))
     }
-    return tracks_given(tracks).map(lambda track: _classified(track, confusions, rng))
+    return tracks_given(tracks).map(lambda track: _classified(track, confusions, persistence, rng))
 
 
 def _checked(name: str, confusion: FloatArray, n_classes: int) -> FloatArray:
@@ -240,7 +264,9 @@ def _checked(name: str, confusion: FloatArray, n_classes: int) -> FloatArray:
     return matrix
 
 
-def _classified(track: Track, confusions: dict[str, FloatArray], rng: np.random.Generator) -> Track:
+def _classified(
+    track: Track, confusions: dict[str, FloatArray], persistence: float | None, rng: np.random.Generator
+) -> Track:
     changes: dict[str, Any] = {"velocity": None, "covariance": None}
     for name, confusion in confusions.items():
         observed, truth = getattr(track, name), getattr(track, f"true_{name}")
@@ -250,9 +276,12 @@ def _classified(track: Track, confusions: dict[str, FloatArray], rng: np.random.
         n_classes = len(confusion)
         known = np.isfinite(truth)
         true_class = np.round(np.nan_to_num(truth) * n_classes / (2.0 * np.pi)).astype(int) % n_classes
-        reached = confusion.cumsum(axis=1)[true_class]
-        answer = (rng.random((len(track), 1)) * reached[:, -1:] >= reached).sum(axis=1)
-        likelihood = confusion.T[np.minimum(answer, n_classes - 1)]
+        classes = (true_class[:, None] + np.arange(n_classes)) % n_classes
+        reached = np.take_along_axis(confusion[true_class], classes, axis=1).cumsum(axis=1)
+        drawn = rng.random(len(track))[_lasting(track, persistence, rng)]
+        apart = (drawn[:, None] * reached[:, -1:] >= reached).sum(axis=1)
+        answer = (true_class + np.minimum(apart, n_classes - 1)) % n_classes
+        likelihood = confusion.T[answer]
         likelihood[~known] = np.nan
         changes |= {name: None, f"{name}_kappa": None}
         changes |= {f"{name}_likelihood": likelihood, f"true_{name}": truth}

@@ -22,14 +22,18 @@ from graphtrack.experiments.chen_joint import (
     ANGLES,
     FITTED,
     PAIRS,
+    Case,
+    Outcome,
     Scores,
+    _pairs,
+    _parameters,
+    confusion_of,
     errors_of,
     fitted_models,
-    pair_rows,
-    parameter_table,
+    most_likely_error,
 )
 from graphtrack.experiments.chosen_filter import chosen_filter
-from graphtrack.experiments.harness import ISAM2
+from graphtrack.experiments.harness import ISAM2, at_limit, fit, halves, unit_of
 from graphtrack.geometry.angles import class_centres, difference, wrap
 from graphtrack.inference import smooth_track
 from graphtrack.model import Model
@@ -37,7 +41,7 @@ from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.simulation.crowd import strollers
 from graphtrack.simulation.degrade import add_class_likelihoods, add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.track import BODY_CLASSES, Track, TrackSet
 
 SETTINGS = Settings(quick=True)
 
@@ -115,7 +119,7 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     expected: list[int] = []
     found = gaits.EXPERIMENT.run(Settings(), steps.append, expected.append)
     assert [sum(steps)] == expected
-    errors, differences, rivals = (table.records() for table in found.tables)
+    errors, differences = (table.records() for table in found.tables)
     assert len(errors) == 2 * (len(gaits.ESTIMATORS) * len(gaits.PRESETS) + len(gaits.LEARNING))
     rows = {(row["people"], row[""], row["model"]): row for row in errors}
     for (who, way, preset), row in rows.items():
@@ -128,9 +132,6 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     for way in gaits.LEARNING:
         learned, constant = (rows[gaits.ORDINARY, way, model] for model in (gaits.LEARNED, "joint"))
         assert learned["body (°)"] != constant["body (°)"]
-    for row in rivals:
-        graph, particles = (rows[row["people"], way, row["model"]] for way in (gaits.CHAIN, gaits.PARTICLES))
-        assert row["body (°)"] == pytest.approx(graph["body (°)"] - particles["body (°)"])
 
 
 def test_a_clip_has_the_same_noise_whoever_else_is_there() -> None:
@@ -214,9 +215,16 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     assert found["joint-body", "graph"].parameters.value(of_head) == Model("joint-body").parameters.value(
         of_head
     )
-    rows = parameter_table(found).records()
+    case = Case("people", tracks, tracks)
+    scores = Scores("people", 2, {})
+    rows = list(_parameters([Outcome(case, scores, found, {})]))
     assert rows[0]["method"] == "default" and len(rows) == 1 + 2 * len(FITTED)
     assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
+
+
+def test_a_search_that_ends_where_it_may_go_no_further_says_so() -> None:
+    (found,) = fit(lambda value: value, [0.17], evaluations=60)
+    assert at_limit(0.17, found) and not at_limit(0.17, 0.01) and at_limit(24.36, 2436.0)
 
 
 def test_differences_between_methods_are_of_the_same_people() -> None:
@@ -224,19 +232,43 @@ def test_differences_between_methods_are_of_the_same_people() -> None:
     hard = rng.uniform(0.0, 100.0, 30)  # differs from person to person by far more than from method to method
     names = {name for pair in PAIRS for name in pair}
     worth = {name: float(i) for i, name in enumerate(sorted(names))}
-    default = {
-        ("joint", name, angle): hard + worth[name] + rng.normal(0.0, 0.1, 30)
+    fitted = {
+        (preset, name, angle): hard - worth[name] + rng.normal(0.0, 0.1, 30)
+        for preset in FITTED
         for name in names
         for angle in ANGLES
     }
-    fitted = {("joint", name, angle): hard - worth[name] for name in names for angle in ANGLES}
-    for row in pair_rows([Scores("people", 30, default)], {"people": fitted}, rng):
+    people = simulate("joint", n_tracks=30, n_steps=2, rng=rng)
+    case = Case("people", people, people)
+    rows = list(_pairs([Outcome(case, Scores("people", 30, {}), {}, fitted)], rng))
+    assert len(rows) == len(FITTED) * len(ANGLES) * len(PAIRS)
+    for row in rows:
         first, second = str(row["difference"]).split(" − ")
-        expected = worth[first] - worth[second]
-        assert row["default (°)"] == pytest.approx(expected, abs=0.15)
-        assert row["default: low"] < row["default (°)"] < row["default: high"]
-        assert row["default: high"] - row["default: low"] < 0.3
-        assert row["fitted (°)"] == pytest.approx(-expected, abs=1e-9)
+        assert row["fitted (°)"] == pytest.approx(worth[second] - worth[first], abs=0.15)
+        assert row["low"] < row["fitted (°)"] < row["high"] and row["high"] - row["low"] < 0.3
+
+
+def test_people_who_are_judged_come_from_other_units_than_those_fitted_on() -> None:
+    drawn = simulate("joint", n_tracks=12, n_steps=3, rng=np.random.default_rng(1)).tracks
+    gaits_of = ("walk", "walk-turn-left")
+    labels = [f"dataset-{1 + k % 2}_{gaits_of[k % 2]}_style-{k % 5}_00{k}" for k in range(12)]
+    clips = TrackSet(tuple(replace(track, label=label) for track, label in zip(drawn, labels, strict=True)))
+    assert unit_of(clips.tracks[0]) == "dataset-1 style-0"
+    fitted, judged = ({unit_of(track) for track in half} for half in halves(clips))
+    assert not fitted & judged and fitted | judged == {unit_of(track) for track in clips}
+    assert unit_of(drawn[3]) == str(drawn[3].track_id)
+
+
+@pytest.mark.parametrize(("degrees", "classes"), [(41.7, 8), (30.3, 12)])
+def test_confusions_have_the_mean_error_that_was_asked_for(degrees: float, classes: int) -> None:
+    matrix = confusion_of(np.radians(degrees), classes)
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(-np.pi, np.pi, 20_000)
+    n = len(truth)
+    track = Track(0, np.arange(n), 0.1 * np.arange(n), np.zeros((n, 2)), body=truth, head=truth)
+    name = "body" if classes == BODY_CLASSES else "head"
+    seen = add_class_likelihoods(TrackSet((track,)), **{name: matrix}, rng=rng).tracks[0]
+    assert most_likely_error(seen, seen, name) == pytest.approx(degrees, rel=0.02)
 
 
 def test_graphs_meet_the_tracker_on_the_same_tracks_of_each_cell() -> None:
@@ -252,10 +284,10 @@ def test_graphs_meet_the_tracker_on_the_same_tracks_of_each_cell() -> None:
         )
     cells, counts = paired(found, ("straight", "turn"), np.random.default_rng(2))
     first, second = cells.records()
-    assert first["squared error / tracker's"] == pytest.approx(0.5)
+    assert first["squared error / rival's"] == pytest.approx(0.5)
     assert first["ratio: high"] == pytest.approx(0.5)
-    assert second["squared error / tracker's"] == pytest.approx(2.0)
-    assert first["nats a detection − tracker's"] == pytest.approx(np.log(2.0))
+    assert second["squared error / rival's"] == pytest.approx(2.0)
+    assert first["nats a detection − rival's"] == pytest.approx(np.log(2.0))
     assert second["nats: high"] == pytest.approx(-np.log(2.0))
     (count,) = counts.records()
     assert count["cells"] == 2

@@ -69,6 +69,26 @@ def test_the_bootstrap_covers_what_it_should() -> None:
     assert 0.88 < inside / 200 <= 1.0
 
 
+def test_units_are_drawn_with_all_of_their_numbers() -> None:
+    rng = np.random.default_rng(4)
+    of_unit = rng.normal(0.0, 1.0, 12)
+    values = np.repeat(of_unit, 9) + rng.normal(0.0, 0.05, 108)
+    zeros = np.zeros(108)
+
+    def width(units: list[str] | None) -> float:
+        found = bootstrap(mean_difference, values, zeros, rng=np.random.default_rng(5), units=units)
+        assert found.value == pytest.approx(values.mean())
+        return found.high - found.low
+
+    by_unit = width([str(k // 9) for k in range(108)])
+    # As wide as the standard error of twelve units; nine numbers of each tell nothing new.
+    assert by_unit == pytest.approx(2.0 * 1.96 * of_unit.std() / np.sqrt(12.0), rel=0.15)
+    assert width(None) < 0.5 * by_unit
+    assert width([str(k) for k in range(108)]) == pytest.approx(width(None), rel=0.1)
+    few = bootstrap(mean_difference, values, zeros, rng=rng, units=["one"] * 54 + ["other"] * 54)
+    assert np.isnan(few.low) and np.isfinite(few.value)
+
+
 def test_the_bootstrap_of_few() -> None:
     rng = np.random.default_rng(0)
     none = bootstrap(mean_difference, np.array([np.nan]), np.array([1.0]), rng=rng)
@@ -197,7 +217,7 @@ def test_the_sharpest_turns_stand_beside_the_papers_trajectories() -> None:
         judged.append((replace(track, position=path, true_position=path, label=f"{degrees:g}"), window))
     errors = {method: np.full(8, 1.0) for method in ONLINE} | {"kf": np.full(8, 4.0)}
     errors |= {"kf fitted": np.full(8, 2.0), "printed": np.arange(1.0, 9.0)}
-    found = WindowErrors(Case("turns", [], judged, "kf fitted"), "visible", errors)
+    found = WindowErrors(Case("turns", [([], judged)], "kf fitted"), "visible", errors)
     rows = trajectories([found]).records()
     assert [row["ours"] for row in rows[:7]] == ["80", "70", "60", "40", "30", "20", "10"]
     assert [row["paper: reduction (%)"] for row in rows[:7]] == [64.0, 75.5, 84.5, 12.9, 73.2, 62.0, 68.3]

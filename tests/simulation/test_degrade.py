@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import i0e, i1e
 from walks import walk
 
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.geometry.angles import class_centres, difference, mean_resultant_length, unit
+from graphtrack.simulation.crowd import standers
 from graphtrack.simulation.degrade import (
     OBSERVED,
     add_class_likelihoods,
@@ -189,6 +191,46 @@ def test_answers_come_as_often_as_the_confusion_says() -> None:
             share = np.bincount(answer[true_class == k], minlength=n) / (true_class == k).sum()
             np.testing.assert_allclose(share, expected[k], atol=0.04)
         np.testing.assert_allclose(likelihood, expected[:, answer].T)
+
+
+def test_errors_last_as_long_as_is_said_and_are_as_large_as_before() -> None:
+    n, dt, lasting = 60_000, 0.1, 1.0
+    zeros = np.zeros(n)
+    track = Track(0, np.arange(n), dt * np.arange(n), np.zeros((n, 2)), body=zeros, head=zeros)
+    rng = np.random.default_rng(3)
+    found = add_noise(TrackSet((track,)), body_kappa=2.0, persistence=lasting, rng=rng).tracks[0]
+    error = np.cos(found.body) - np.cos(found.body).mean()
+    correlation = [(error[k:] * error[: n - k]).mean() / (error**2).mean() for k in (5, 10)]
+    np.testing.assert_allclose(correlation, np.exp([-0.5, -1.0]), atol=0.05)
+    assert np.cos(found.body).mean() == pytest.approx(i1e(2.0) / i0e(2.0), abs=0.02)
+    classes = add_class_likelihoods(TrackSet((track,)), persistence=lasting, rng=rng).tracks[0]
+    answer = classes.body_likelihood.argmax(axis=1)
+    matrix = confusion_matrix(8)
+    np.testing.assert_allclose(np.bincount(answer, minlength=8) / n, matrix[0], atol=0.02)
+    right = (answer == 0) - matrix[0, 0]
+    share = (right[10:] * right[:-10]).mean() / (right**2).mean()
+    assert share == pytest.approx(np.exp(-1.0), abs=0.05)
+    with pytest.raises(InputError, match="persistence"):
+        add_noise(TrackSet((track,)), body_kappa=2.0, persistence=-1.0, rng=rng)
+
+
+def test_people_who_stand_turn_on_the_spot_with_the_head_ahead() -> None:
+    people = standers(np.random.default_rng(0), people=20, seconds=30.0)
+    for track in people:
+        assert np.linalg.norm(track.position - track.position.mean(axis=0), axis=1).max() < 0.3
+    body, head = (np.concatenate([getattr(track, name) for track in people]) for name in ("body", "head"))
+    assert np.abs(difference(head, body)).mean() < np.radians(25.0)
+    turned = np.concatenate([np.abs(difference(track.body[1:], track.body[:-1])) for track in people])
+    assert turned.sum() / (20 * 30.0) > np.radians(10.0)  # a second
+    # A turn of the head tells of the body's a quarter of a second later.
+    rates = [
+        (difference(t.body[1:], t.body[:-1]), difference(t.head[1:], t.head[:-1])) for t in people.tracks
+    ]
+
+    def agreement(lag: int) -> float:
+        return float(np.mean([(b[lag:] * h[: len(h) - lag]).mean() for b, h in rates]))
+
+    assert agreement(3) > agreement(0)
 
 
 def test_what_is_not_known_is_not_seen() -> None:
