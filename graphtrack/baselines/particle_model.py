@@ -14,9 +14,22 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import Model
-from graphtrack.model.terms.couplings import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.terms.couplings import (
+    BODY_FREE,
+    HEAD_FREE,
+    BodyFollowsMotion,
+    HeadFollowsBody,
+    held,
+)
 from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
-from graphtrack.model.terms.orientation import BodyDynamics, BodyLikelihood, HeadDynamics, HeadLikelihood
+from graphtrack.model.terms.orientation import (
+    HIDDEN,
+    BodyDynamics,
+    BodyLikelihood,
+    HeadDynamics,
+    HeadLikelihood,
+    less_hidden,
+)
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.packages import special
 from graphtrack.tracks.track import Track
@@ -142,6 +155,8 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         body_turn = 1.0 / (parameters.orientation.body_diffusion * dt)
         head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
     weight = coupling.weights(dt)
+    body_kappa = coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0
+    head_kappa = coupling.head_body_kappa if HeadFollowsBody in kinds else 0.0
     return PackedMotion(
         dt,
         moments.keep,
@@ -149,8 +164,8 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         np.stack([place, cross, spread], axis=1),
         body_turn,
         head_turn,
-        weight * (coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0),
-        weight * (coupling.head_body_kappa if HeadFollowsBody in kinds else 0.0),
+        weight * held(track.input(BODY_FREE)) * body_kappa,
+        weight * held(track.input(HEAD_FREE)) * head_kappa,
         coupling.speed_threshold,
         model.has_body,
         model.has_head,
@@ -188,7 +203,8 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
         weights, outliers = np.ones((known.sum(), 1)), likelihood.outlier_probability
         _fill(found, known, weights, angle[known, None], own[known], outliers)
     if classes is not None:
-        usable = np.isfinite(classes).all(axis=1)
+        classes = less_hidden(classes, track.input(HIDDEN[name]), likelihood)
+        usable = np.asarray(np.isfinite(classes).all(axis=1))
         usable[usable] = classes[usable].sum(axis=1) > 0.0
         scores = classes[usable] / classes[usable].sum(axis=1, keepdims=True)
         centres = np.broadcast_to(class_centres(size), scores.shape)

@@ -48,6 +48,7 @@ from graphtrack.model.given import angle_of_classes
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import APART, SAME_TIME, merged, news
+from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
@@ -174,7 +175,9 @@ def _direction_of(observation: Observation, name: str, parameters: Parameters) -
     """Return the observed angle of "body" or "head" and its concentration; 0 without."""
     classes = getattr(observation, f"{name}_likelihood")
     if classes is not None:
-        by_class, sharp = angle_of_classes(np.array([classes]))
+        share = observation.inputs.get(HIDDEN[name])  # type: ignore[index]
+        hidden = np.array([math.nan if share is None else share], dtype=np.float64)
+        by_class, sharp = angle_of_classes(less_hidden(np.array([classes]), hidden, parameters.likelihood))
         return by_class.item(), sharp.item()
     angle = getattr(observation, name)
     if angle is None:

@@ -13,6 +13,7 @@ from graphtrack.experiments.baxter_statistics import EXPERIMENT as _baxter_stati
 from graphtrack.experiments.baxter_weight import EXPERIMENT as _baxter_weight
 from graphtrack.experiments.chen_classes import EXPERIMENT as _chen_classes
 from graphtrack.experiments.chen_joint import EXPERIMENT as _chen_joint
+from graphtrack.experiments.context import EXPERIMENT as _context
 from graphtrack.experiments.gaits import EXPERIMENT as _gaits
 from graphtrack.experiments.harness import Experiment, Reproduction, Settings, Table
 from graphtrack.experiments.honesty import EXPERIMENT as _honesty
@@ -28,7 +29,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
         for experiment in (
             *(_baxter_simulated, _baxter_caviar, _baxter_occlusion, _baxter_statistics, _baxter_weight),
             *(_chen_joint, _chen_classes),
-            *(_gaits, _honesty, _meetings, _strangers, _unseen_people),
+            *(_context, _gaits, _honesty, _meetings, _strangers, _unseen_people),
         )
     }
 )

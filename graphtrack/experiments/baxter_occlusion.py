@@ -243,7 +243,7 @@ class Case:
 
     @property
     def units(self) -> list[str]:
-        """What each of the judged comes from: people, or styles of motion capture."""
+        """Units that each of the judged comes from: people, or styles of motion capture."""
         return [unit_of(track) for track, _ in self.judged]
 
 

@@ -326,7 +326,7 @@ class Case:
 
     @property
     def units(self) -> list[str]:
-        """What each of the judged comes from: people, or styles of motion capture."""
+        """Units that each of the judged comes from: people, or styles of motion capture."""
         return [unit_of(track) for track in self.judged]
 
 
@@ -348,12 +348,12 @@ def cases(settings: Settings) -> list[Case]:
         steps = settings.few(250, 30)
         fitted, judged = halves(salsa.map(lambda track: track[:steps]))
         found.append(Case(PARTY, fitted.map(lambda track: track[: steps // 2]), judged))
-    standing, *others = found
+    standing, *recorded = found
     return [
         standing,
         *(
             Case(one.name, *(_noisy(tracks, settings.rng(2, k, i)) for i, tracks in enumerate(one.parts)))
-            for k, one in enumerate(others)
+            for k, one in enumerate(recorded)
         ),
     ]
 

@@ -452,7 +452,7 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
 
 
 def at_limit(start: float, found: float) -> bool:
-    """Whether a search of `fit` ended where it may go no further, `REACH` times its start."""
+    """Return whether a search of `fit` ended where it may go no further, `REACH` times its start."""
     return bool(abs(np.log(found / start)) > np.log(REACH) - 0.1)
 
 

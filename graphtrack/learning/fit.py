@@ -26,6 +26,7 @@ from graphtrack.model import Model
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import range_of, scale_of
 from graphtrack.model.same_time import with_merged_rows
+from graphtrack.model.terms.orientation import HIDDEN
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_within
@@ -246,6 +247,9 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
         ),
     }
+    absent["likelihood.hidden_outliers"] = not any(
+        name in track.inputs for track in tracks for name in HIDDEN.values()
+    )
     for name, declared in _DECLARED.items():
         absent[f"likelihood.{name}"] = not any(getattr(track, declared) is not None for track in tracks)
     found = []

@@ -19,6 +19,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.model import Model
 from graphtrack.model.observation import CHANNELS
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
+from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
@@ -103,7 +104,8 @@ def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple
     kappa = parameters.likelihood.kappas(name, getattr(track, f"{name}_kappa"), len(track))  # type: ignore[arg-type]
     found = np.full(len(track), np.nan) if angle is None else angle.copy()
     if classes is not None:
-        by_class, sharp = angle_of_classes(classes)
+        hidden = track.input(HIDDEN[name])  # type: ignore[index]
+        by_class, sharp = angle_of_classes(less_hidden(classes, hidden, parameters.likelihood))
         known = np.isfinite(by_class)
         found[known], kappa[known] = by_class[known], sharp[known]
     return found, np.where(np.isfinite(found), kappa, 0.0)

@@ -2,7 +2,7 @@
 
 Speeds and courses of strollers are piecewise smooth functions of time, the body follows the course with a
 lag, the head turns ahead of it, and a glance adds an angle of its own. Walking paces follow Daamen &
-Hoogendoorn (2007) and hip sway follows Murray et al. (1964); glances and stops are choices.
+Hoogendoorn (2007) and hip drift follows Murray et al. (1964); glances and stops are choices.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ def standers(
     """Simulate people who stand and turn on the spot, as in CHIL (Chen et al. 2011, §4.3): the truth alone.
 
     The body turns ``turns_per_minute`` times by 30° to 150°, the head ahead of it, with glances; the place
-    sways by 3 cm. Of the habits, those of speed and stops have no part.
+    drifts by 3 cm. Of the habits, those of speed and stops have no part.
     """
     habits = habits or StrollerParameters()
     t = np.arange(0.0, seconds, _STROLLER_GRID)
@@ -290,8 +290,8 @@ def standers(
         ahead = _lagged(np.interp(t + habits.head_lead, t, course), 0.1)
         head = ahead + _glances(t, habits, rng) + np.radians(3.0) * _smooth_noise(t, 1.0, rng)
         place = rng.uniform(-3.0, 3.0, 2)
-        sway = np.stack([0.03 * _smooth_noise(t, 2.0, rng) for _ in range(2)])
-        x, y, at_body, at_head = (np.interp(frame / fps, t, one) for one in (*sway, body, head))
+        drift = np.stack([0.03 * _smooth_noise(t, 2.0, rng) for _ in range(2)])
+        x, y, at_body, at_head = (np.interp(frame / fps, t, one) for one in (*drift, body, head))
         position = place + np.column_stack([x, y])
         tracks.append(Track(k, frame, frame / fps, position, body=wrap(at_body), head=wrap(at_head)))
     return TrackSet(tuple(tracks))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
 _TABLES = ("pose", "localisation", "published", "keypoints")
-_REAL = ("heads", "lobby", "street", "people")
+_REAL = ("heads", "hidden", "lobby", "street", "people")
 """Tables of recordings, made on request."""
 
 
@@ -39,7 +39,7 @@ def evaluate(
         published (Chen et al.'s perception as published, and ours), keypoints (body and head from
         keypoints); all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town
         Centre's heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method),
-        people (precision of detections in Town Centre).
+        people (precision of detections in Town Centre), hidden (classes of people who are partly hidden).
     count : Rendered images to evaluate on.
     train : Rendered images to train on: localisation, published.
     plot : Picture of reliability and confusion to write (.png).
@@ -62,7 +62,7 @@ def evaluate(
         if name in _TABLES:
             found = _rendered(name, count, train, plot, np.random.default_rng(seed))
         else:
-            found = [_recorded(name, data if data is not None else DATA_FOLDER, heads, seed)]
+            found = _recorded(name, data if data is not None else DATA_FOLDER, heads, seed)
         for table in found:
             print_table(table.title, table.records())
             shown.append(table)
@@ -88,28 +88,34 @@ def _rendered(
     return [classifiers.keypoint_table(load_keypoint_pose(), count, rng)]
 
 
-def _recorded(name: str, data: Path, heads: int, seed: int) -> Table:
-    """Compute a table of recordings, with a progress bar."""
+def _recorded(name: str, data: Path, heads: int, seed: int) -> Iterable[Table]:
+    """Compute the tables of recordings, with a progress bar."""
     town = data / "towncentre"
     if name == "heads":
         from perception.experiments.head_trackers import heads_table
 
         with progress_bar(heads, "heads") as advance:
-            return heads_table(town, heads, seed, advance)
+            return [heads_table(town, heads, seed, advance)]
     if name == "lobby":
         from perception.evaluation.adapted_cameras import adapted_table, sequences_of
 
         sequences = sequences_of(data / "caviar")
         with progress_bar(len(sequences), "sequences") as advance:
-            return adapted_table(sequences, seed, advance)
+            return [adapted_table(sequences, seed, advance)]
+    if name == "hidden":
+        from perception.evaluation.hidden_people import lobby, street, tables
+
+        with progress_bar(None, "recordings") as advance:
+            everybody = [street(town, seed, advance), lobby(data / "caviar", seed, advance)]
+        return tables(everybody, np.random.default_rng(seed))
     if name == "street":
         from perception.evaluation.adapted_cameras import METHODS, PARTS, methods_table
 
         with progress_bar(PARTS + len(METHODS), "steps") as advance:
-            return methods_table(town, seed, advance)
+            return [methods_table(town, seed, advance)]
     from perception.evaluation.found_people import reliability_table
     from perception.images.frames import FrameSource
 
     count = len(FrameSource.open(town / "frames_001_150" / "img1").numbers())
     with progress_bar(count, "frames") as advance:
-        return reliability_table(town, seed, advance)
+        return [reliability_table(town, seed, advance)]

@@ -94,7 +94,8 @@ def _ignore(*values: object) -> None:
     """Suppress reports of progress and of empty boxes."""
 
 
-def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
+def no_progress(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
+    """Show no progress of decoding and fitting."""
     return nullcontext(_ignore)
 
 
@@ -105,7 +106,7 @@ def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress)
     for one in sequences:
         training = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
-        found = adapted(training, lobby_camera(), package, rng, _silent, _ignore)
+        found = adapted(training, lobby_camera(), package, rng, no_progress, _ignore)
         rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)

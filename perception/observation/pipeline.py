@@ -13,6 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
+from graphtrack.model.terms.orientation import HIDDEN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
@@ -21,6 +22,7 @@ from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in,
 from perception.ground.views import Ground, MovingCamera, View, view_in
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
+from perception.observation.hidden import HEAD_HEIGHT, HEAD_MIDDLE, HEAD_WIDTH, hidden_shares
 from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
 from perception.pose.classifier import FeatureClassifier
@@ -42,6 +44,7 @@ class PersonObservation:
     score : of a detection; None: not known
     appearance : (`features.LENGTH`,) uint8 appearance descriptor; None: not requested
     standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
+    hidden : shares of body and head that are hidden, 0…1 (`hidden_shares`)
     """
 
     frame: int
@@ -53,6 +56,7 @@ class PersonObservation:
     score: float | None = None
     appearance: NDArray[np.uint8] | None = None
     standing: LeaningPose | None = None
+    hidden: tuple[float, float] = (0.0, 0.0)
 
     @property
     def height(self) -> float:
@@ -81,7 +85,6 @@ def by_frame(people_observed: Iterable[PersonObservation]) -> dict[int, FrameObs
     return frames
 
 
-_HEIGHT, _WIDTH, _MIDDLE = 0.13, 0.10, 0.065  # of a head and its middle, in heights of the person's box
 _LEAST = 0.2  # least confidence of a point of the face that locates the head
 
 
@@ -105,12 +108,12 @@ def keypoint_likelihoods(
 def _head_in_crop(box: tuple[float, float, float, float], points: FloatArray) -> FloatArray:
     """Return the head's box (4,) in the crop of the person: around the points of the face, or at the top."""
     left, top, width, height = box
-    middle = np.array([left + width / 2.0, top + _MIDDLE * height])
+    middle = np.array([left + width / 2.0, top + HEAD_MIDDLE * height])
     face = points[list(FACE)]
     sure = np.where(face[:, 2] >= _LEAST, face[:, 2], 0.0)
     if sure.any():
         middle = np.average(face[:, :2], axis=0, weights=sure)
-    size = np.array([_WIDTH, _HEIGHT]) * height
+    size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * height
     return np.concatenate([middle - size / 2.0 - (round(left), round(top)), size])
 
 
@@ -173,14 +176,20 @@ def observe_frame(
     people_observed: list[PersonObservation] = []
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
-    for item in _usable(image, frame, boxes, refuse):
+    usable = list(_usable(image, frame, boxes, refuse))
+    hidden = hidden_shares([item.box for item in usable], (image.shape[1], image.shape[0])).tolist()
+    for item in usable:
         standing = leaning_pose_in(models.view, item.box)
         people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
         # Batches limit the memory for crops to a few whole images.
         if sum(picture.size for _, picture, _ in people) > image.size:
             people_observed += _look(image, people, models, light)
             people = []
-    return people_observed + _look(image, people, models, light)
+    people_observed += _look(image, people, models, light)
+    return [
+        replace(one, hidden=(of_body, of_head))
+        for one, (of_body, of_head) in zip(people_observed, hidden, strict=True)
+    ]
 
 
 def _usable(
@@ -336,7 +345,7 @@ def channels_of(
         for name, values in of_view.items():
             if values is not None:
                 placed.setdefault(name, np.empty((len(items), *values.shape[1:])))[rows] = values
-    inputs = {}
+    inputs = dict(zip(HIDDEN.values(), np.array([item.hidden for item in items], float).T, strict=True))
     if projection is not None and all(item.appearance is not None for item in items):
         inputs[APPEARANCE] = projection(np.array([item.appearance for item in items], np.uint8))
     scores = np.array([item.score for item in items], float)  # None is NaN

@@ -19,6 +19,7 @@ from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
 from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.model import Model
+from graphtrack.model.terms.orientation import HIDDEN
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
@@ -171,7 +172,7 @@ def _channels(
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
     fields: dict[str, Any] = dict(known)
-    inputs = {name: fields.pop(name) for name in (APPEARANCE,) if name in fields}
+    inputs = {name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values()) if name in fields}
     score = fields.pop("score")
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
 

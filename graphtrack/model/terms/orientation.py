@@ -8,11 +8,12 @@ determines: a track's first, and those that the model does not have.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
@@ -22,7 +23,7 @@ from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.kernel import Kernel, Orientation
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks, of_alike
-from graphtrack.model.parameters import Parameters
+from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special, sympy
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -188,7 +189,28 @@ def _fields(name: Variable) -> tuple[Field, ...]:
 
 def _reads(name: Variable) -> tuple[str, ...]:
     own = f"likelihood.{name}_kappa", f"likelihood.{name}_scale"
-    return (*own, "likelihood.outlier_probability", "likelihood.class_outlier_probability")
+    doubts = "outlier_probability", "class_outlier_probability", "hidden_outliers"
+    return (*own, *(f"likelihood.{doubt}" for doubt in doubts))
+
+
+HIDDEN: Mapping[Orientation, str] = {"body": "body_hidden", "head": "head_hidden"}
+"""Orientation → the input with the share of its picture that is hidden in each frame, 0…1; NaN: none."""
+
+
+def less_hidden(classes: FloatArray, hidden: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
+    """Return class likelihoods (n, k) with the doubt about a picture of which a share (n,) is hidden.
+
+    With probability 1 − (1 − share)^c, c = ``hidden_outliers``, they say nothing: Chen et al. (2011, §5) name
+    occlusion as a cause of wrong poses. InputError for a share outside of 0…1.
+    """
+    known = hidden[np.isfinite(hidden)]
+    if known.size and not (known.min() >= 0.0 and known.max() <= 1.0):
+        raise InputError(f"a hidden share of {known[(known < 0) | (known > 1)][0]:g}", "a number from 0 to 1")
+    informed = (1.0 - np.nan_to_num(hidden)) ** likelihood.hidden_outliers
+    if (informed == 1.0).all():
+        return classes
+    uniform = classes.sum(axis=1, keepdims=True) / classes.shape[1]
+    return np.asarray(informed[:, None] * classes + (1.0 - informed)[:, None] * uniform)
 
 
 class _PoseLikelihood(Term):
@@ -246,6 +268,7 @@ class _PoseLikelihood(Term):
         classes = packed.channel(f"{self.name}_likelihood")
         if classes is None:
             return None
+        classes = less_hidden(classes, packed.input(HIDDEN[self.name]), self.parameters.likelihood)
         uniform = self.parameters.likelihood.class_outlier_probability
         total = classes.sum(axis=1, keepdims=True)
         # As multiples of 1/2π. Scores that are all zero are uninformative; an unobserved row stays NaN.

@@ -1,0 +1,96 @@
+"""Hidden people: shares of their pictures, and likelihoods that say less of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import graphtrack as gt
+from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.model.terms.orientation import less_hidden
+from graphtrack.simulation.degrade import add_class_likelihoods
+from graphtrack.simulation.sampling import simulate
+from perception.observation.hidden import hidden_shares
+
+SIZE = (640, 480)
+ALONE = (100.0, 100.0, 40.0, 120.0)
+
+
+def test_who_stands_alone_in_the_image_is_not_hidden() -> None:
+    assert (hidden_shares([ALONE, (300.0, 100.0, 40.0, 120.0)], SIZE) == 0.0).all()
+    assert hidden_shares([], SIZE).shape == (0, 2)
+
+
+def test_the_nearer_person_hides_the_other_as_far_as_the_boxes_overlap() -> None:
+    left, top, width, height = ALONE
+    nearer = (left + width / 2.0, top + height / 4.0, width, height)
+    (body, head), (in_front, own_head) = hidden_shares([ALONE, nearer], SIZE)
+    assert body == pytest.approx(0.5 * 0.75, abs=0.05) and head == 0.0
+    assert in_front == own_head == 0.0
+    assert (hidden_shares([nearer, ALONE], SIZE)[::-1] == [[body, head], [0.0, 0.0]]).all()
+
+
+def test_what_is_cut_by_the_border_is_hidden() -> None:
+    below = (100.0, 480.0 - 60.0, 40.0, 120.0)  # the lower half is outside: the head is there
+    above = (100.0, -60.0, 40.0, 120.0)
+    aside = (-10.0, 100.0, 40.0, 120.0)
+    body, head = hidden_shares([below], SIZE)[0]
+    assert body == pytest.approx(0.5) and head == 0.0
+    assert hidden_shares([above], SIZE)[0] == pytest.approx([0.5, 1.0])
+    assert hidden_shares([aside], SIZE)[0] == pytest.approx([0.25, 0.0], abs=0.1)
+
+
+@given(st.lists(st.tuples(*[st.floats(-50, 600)] * 2, *[st.floats(5, 300)] * 2), max_size=8))
+def test_shares_are_shares_and_grow_with_each_further_person(boxes) -> None:  # type: ignore[no-untyped-def]
+    found = hidden_shares(boxes, SIZE)
+    assert found.shape == (len(boxes), 2) and ((found >= 0.0) & (found <= 1.0)).all()
+    more = hidden_shares([*boxes, (0.0, 0.0, 640.0, 2000.0)], SIZE)
+    assert (more[:-1] >= found).all()
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 5.0), st.floats(0.001, 0.5))
+def test_a_hidden_share_is_an_outlier_share(share: float, exponent: float, outliers: float) -> None:
+    """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − h)^c."""
+    classes = np.array([[0.7, 0.2, 0.05, 0.05]])
+    likelihood = LikelihoodParameters(hidden_outliers=exponent)
+    doubtful = less_hidden(classes, np.array([share]), likelihood)
+    total = 1.0 - (1.0 - outliers) * (1.0 - share) ** exponent
+    np.testing.assert_allclose(
+        (1.0 - outliers) * doubtful + outliers / 4.0, (1.0 - total) * classes + total / 4.0, atol=1e-12
+    )
+    assert less_hidden(classes, np.array([np.nan]), likelihood) is classes
+
+
+def test_a_share_outside_of_0_to_1_is_one_error() -> None:
+    with pytest.raises(gt.InputError, match=r"hidden share of 1\.3"):
+        less_hidden(np.ones((1, 8)), np.array([1.3]), LikelihoodParameters())
+
+
+@pytest.mark.parametrize("engine", ["chain", "gtsam"])
+def test_hidden_frames_with_wrong_classes_harm_less_where_they_are_said(engine: str) -> None:
+    """Nobody's class of a hidden frame is right; both engines read the same share."""
+    people = simulate("joint", n_tracks=6, n_steps=60, rng=np.random.default_rng(3))
+    rng = np.random.default_rng(4)
+    observed = add_class_likelihoods(people, rng=rng)
+    found = []
+    for known in (False, True):
+        tracks = []
+        for track in observed:
+            hidden = np.zeros(len(track))
+            hidden[15:35] = 0.95
+            classes = track.head_likelihood.copy()
+            classes[15:35] = np.roll(classes[15:35], 3, axis=1)
+            inputs = {"head_hidden": hidden} if known else {}
+            tracks.append(replace(track, head_likelihood=classes, inputs=inputs))
+        estimates = gt.smooth(people.with_tracks(tracks), "joint", constants="default", engine=engine)
+        off = [np.abs(of_heads(e, t)) for e, t in zip(estimates, observed, strict=True)]
+        found.append(float(np.degrees(np.mean(off))))
+    assert found[1] < 0.8 * found[0]
+
+
+def of_heads(estimate: gt.Track, truth: gt.Track) -> np.ndarray:
+    """Difference of the heads (n,), radians."""
+    assert estimate.head is not None and truth.true_head is not None
+    return np.angle(np.exp(1j * (estimate.head - truth.true_head)))
