@@ -99,6 +99,7 @@ class Tally:
     missing : of them, those without a found person
     mismatch : of them, those with an estimated centre outside the person's box
     failing : of them, those since the last success
+    longest : most of them in a row without a success
     empty, alarms : frames without people, and those of them with a found person
     """
 
@@ -106,6 +107,7 @@ class Tally:
     missing: int = 0
     mismatch: int = 0
     failing: int = 0
+    longest: int = 0
     empty: int = 0
     alarms: int = 0
 
@@ -126,6 +128,7 @@ class Tally:
             self.mismatch += 1
         else:
             self.failing = 0
+        self.longest = max(self.longest, self.failing)
 
     @property
     def success(self) -> float:

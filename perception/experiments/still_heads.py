@@ -233,7 +233,9 @@ def still_heads(settings: Settings) -> Iterator[Table]:
                 confusion[name] = found["ours", "saturated", 2]
     yield Table.of("Identification of nine pans (Ba & Odobez 2003, Tables 1 and 3)", named)
     yield Table.of("Claims of Ba & Odobez 2003, §4.1: paired differences over the splits", claims)
-    yield _confusions(confusion)
+    table = _confusions(confusion)
+    yield table
+    yield neighbour_table(table)
 
 
 def _rate_rows(heads: str, people: int, of_split: Mapping[Key, FloatArray]) -> Iterator[dict[str, Cell]]:
@@ -320,3 +322,25 @@ def _confusions(ours: Mapping[str, NDArray[np.int64]]) -> Table:
     return Table.of(
         "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
     )
+
+
+def neighbour_table(confusions: Table) -> Table:
+    """Tabulate the rates of the pans, and how many errors fall on a neighbouring pan, of Table 2."""
+    matrices: dict[str, list[list[float]]] = {}
+    for row in confusions.records():
+        cells = [row[f"{pan:g}"] for pan in PANS]
+        matrices.setdefault(str(row["of"]), []).append([float(cell) for cell in cells if cell is not None])
+    records: list[dict[str, Cell]] = []
+    for name, rows in matrices.items():
+        percent = np.array(rows)
+        right, errors = np.diag(percent), percent.sum() - np.trace(percent)
+        near = np.diag(percent, 1).sum() + np.diag(percent, -1).sum()
+        records.append(
+            {
+                "of": name,
+                "right, least (%)": float(right.min()),
+                "right, greatest (%)": float(right.max()),
+                "errors on a neighbouring pan (%)": 100.0 * float(near / errors) if errors else None,
+            }
+        )
+    return Table.of("Errors by pan, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records)

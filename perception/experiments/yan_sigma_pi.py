@@ -190,9 +190,10 @@ def method_table(runs: Runs, title: str) -> Table:
 
 
 def loss_table(runs: Runs, title: str) -> Table:
-    """Tabulate how often each method loses the person until the end of the sequence.
+    """Tabulate how often each method loses the person until the end of the sequence, and its longest losses.
 
     Frames lost are those of `Tally.lost_frames`, in per cent of all frames in which the person is visible.
+    The longest loss of a run is its largest number of such frames in a row without a success.
     """
     records: list[dict[str, Cell]] = []
     for name, found in runs.items():
@@ -209,6 +210,8 @@ def loss_table(runs: Runs, title: str) -> Table:
                     "runs lost": len(lost),
                     "runs lost (%)": 100.0 * len(lost) / len(tallies),
                     "frames lost (%)": 100.0 * sum(tally.lost_frames for tally in lost) / frames,
+                    "longest loss, mean (frames)": float(np.mean([tally.longest for tally in tallies])),
+                    "longest loss, greatest (frames)": max(tally.longest for tally in tallies),
                     "success (%)": pooled_success(tallies),
                     "success in the other runs (%)": pooled_success(kept) if kept else None,
                 }

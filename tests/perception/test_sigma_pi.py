@@ -227,9 +227,9 @@ def test_a_run_without_a_success_to_the_end_has_lost_the_person_for_good() -> No
     for one in (*[astray] * LEAST_LOST, inside, *[gone, astray] * LEAST_LOST):
         tally.add(one, label)
     tally.add(gone, None)  # the person left: not a failure
-    assert tally.lost_frames == 2 * LEAST_LOST
+    assert tally.lost_frames == tally.longest == 2 * LEAST_LOST
     tally.add(inside, label)
-    assert tally.lost_frames == 0
+    assert tally.lost_frames == 0 and tally.longest == 2 * LEAST_LOST
     for _ in range(LEAST_LOST - 1):
         tally.add(gone, label)
     assert tally.lost_frames == 0
@@ -258,7 +258,7 @@ def test_rendered_sequences_are_as_long_as_the_papers() -> None:
 
 def test_tables_of_runs_weigh_frames_and_show_every_method() -> None:
     jobs = [PersonJob(kind, (0, 0, k), None) for kind in PAPER for k in range(2)]
-    good, bad = Tally(300, 0, 30), Tally(100, 60, 0, 60)
+    good, bad = Tally(300, 0, 30, 0, 5), Tally(100, 60, 0, 60, 60)
     results = [{name: good if name == OURS or k % 2 else bad for name in METHODS} for k in range(len(jobs))]
     tables = {
         one.title: one.records() for one in tables_of(Settings(), jobs, results) if isinstance(one, Table)
@@ -268,6 +268,7 @@ def test_tables_of_runs_weigh_frames_and_show_every_method() -> None:
     for row in losses:
         lost = row["method"] != OURS
         assert row["runs lost (%)"] == 50.0 * lost
+        assert row["longest loss, greatest (frames)"] == (60 if lost else 5)
         assert row["frames lost (%)"] == pytest.approx(60.0 / 4.0 * lost)
         assert row["success (%)"] == pytest.approx(100.0 * (1.0 - (90.0 / 400.0 if lost else 0.1)))
     total = next(rows for title, rows in tables.items() if title.startswith("Paper / ours"))[-1]

@@ -6,15 +6,17 @@ from itertools import product
 import numpy as np
 import pytest
 
-from graphtrack.experiments.harness import Settings
+from graphtrack.experiments.harness import Settings, Table
 from perception.experiments import still_heads as experiment
 from perception.experiments.still_heads import (
     CONDITIONS,
+    CONFUSION,
     FORMS,
     PANS,
     SplitJob,
     StillHeads,
     conditions,
+    neighbour_table,
     rates,
     recognition,
     run_splits,
@@ -92,7 +94,7 @@ def test_the_tables_have_numbers_and_the_papers_next_to_them(monkeypatch: pytest
 
     render = StillHeads.render
     monkeypatch.setattr(StillHeads, "render", small)
-    named, claims, confused = still_heads(Settings(quick=True))
+    named, claims, confused, errors = still_heads(Settings(quick=True))
     for row in named.records():
         assert 20.0 < _number(row, "ours (%)") <= 100.0  # by chance: 11
         assert 0.0 <= _number(row, "as printed: deviation") < 50.0
@@ -101,6 +103,22 @@ def test_the_tables_have_numbers_and_the_papers_next_to_them(monkeypatch: pytest
         assert _number(row, "ours: low") <= _number(row, "ours (points)") <= _number(row, "ours: high")
     for row in confused.records():
         assert sum(_number(row, f"{pan:g}") for pan in PANS) == pytest.approx(100.0, abs=0.5)
+
+    assert [row["of"] for row in errors.records()] == ["paper", "ours, studio", "ours, harder"]
+
+
+def test_the_papers_errors_all_fall_on_a_neighbouring_pan() -> None:
+    rows = [
+        {
+            "true pan (°)": pan,
+            "of": "paper",
+            **{f"{p:g}": value for p, value in zip(PANS, found, strict=True)},
+        }
+        for pan, found in zip(PANS, CONFUSION.tolist(), strict=True)
+    ]
+    (row,) = neighbour_table(Table.of("paper", rows)).records()
+    assert row["errors on a neighbouring pan (%)"] == pytest.approx(100.0)
+    assert (row["right, least (%)"], row["right, greatest (%)"]) == (85.3, 100.0)
 
 
 def _number(row: Mapping[str, object], column: str) -> float:
