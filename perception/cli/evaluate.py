@@ -74,6 +74,7 @@ def _rendered(
 ) -> Iterable[Table]:
     """Compute the tables of a name on rendered people; they do not depend on the other tables."""
     from perception.evaluation import classifiers
+    from perception.evaluation.localisation import localisation_tables
     from perception.models import load_keypoint_pose
 
     if name == "pose":
@@ -82,7 +83,7 @@ def _rendered(
             save_figure(figure, plot, dpi=110)
         return [table]
     if name == "localisation":
-        return [classifiers.localisation_table(count, train, rng)]
+        return localisation_tables(count, train, rng)
     if name == "published":
         return classifiers.published_tables(train, count, rng)
     return [classifiers.keypoint_table(load_keypoint_pose(), count, rng)]

@@ -1,7 +1,7 @@
 """Measures of pose classifiers on rendered people.
 
 Reliability and confusion; the last layer retrained on a part of the heads (Baxter et al. 2014, §III-C,
-Fig. 3); recognition of nine pans (Ba & Odobez 2003); keypoints; and Chen et al.'s (2011)
+Fig. 3); keypoints; and Chen et al.'s (2011)
 published forms compared with ours.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,17 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from graphtrack.experiments.harness import Cell, Table
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.images.pixels import Image
-from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-from perception.pose.boosting import Weak
-from perception.pose.classes import PoseClasses
+from perception.models import HEAD_POSE, load_classifier
 from perception.pose.classifier import FeatureClassifier, PoseScores, evaluate
 from perception.pose.deep_belief import DeepBelief
-from perception.pose.exemplars import Density, Exemplars
 from perception.pose.head_detection import HeadLocaliser
 from perception.pose.keypoints import KeypointPose
 from perception.synthetic import make_pedestrians
-from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
-from perception.synthetic.people import Appearance, random_appearance
+from perception.synthetic.heads import make_heads
 from perception.synthetic.skeletons import (
     NetworkErrors,
     Skeletons,
@@ -203,74 +198,6 @@ def softmax_layer(
     return weight, bias
 
 
-ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevation=(0.0, 0.0), shoulders=0.05)
-"""Variation of studio heads: tight boxes at the camera's height, tilt set by the caller."""
-
-
-def recognition_table(
-    people: int,
-    exemplars: Sequence[int],
-    rng: np.random.Generator,
-    *,
-    repetitions: int = 1,
-    as_published: bool = False,
-) -> tuple[list[dict[str, Cell]], FloatArray]:
-    """Compute Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits).
-
-    With ``as_published`` the exemplars are those of `Exemplars.as_published`.
-
-    Half of the rendered people train, the other half test, each once at the nine pans −90° … 90°.
-
-    Returns
-    -------
-    The rows, with mean and 1-σ of the rate over the repetitions, and the confusion matrix (9, 9) in percent
-    (Ba & Odobez's Table 2) of two exemplars (or the last given number) with the saturated density, over all
-    repetitions.
-    """
-    classes = PoseClasses.half_circle()
-    persons = [random_appearance(rng) for _ in range(people)]
-    heads, labels = _one_of_each(persons, classes, rng)
-    person = np.arange(len(labels)) // len(classes)
-    rates: dict[tuple[int, Density], list[float]] = {}
-    confusion = np.zeros((len(classes), len(classes)))
-    shown = 2 if 2 in exemplars else exemplars[-1]
-    densities: tuple[Density, ...] = ("gaussian", "saturated")
-    for _ in range(repetitions):
-        order = rng.permutation(people)
-        halves = order[: people // 2], order[people // 2 :]
-        fitted, judged = (np.flatnonzero(np.isin(person, half)) for half in halves)
-        for count, density in product(exemplars, densities):
-            model = Exemplars(classes, exemplars=count, density=density, plain=as_published)
-            features = model.features([heads.images[i] for i in fitted])
-            model.fit_features(features, labels[fitted], np.random.default_rng(0))
-            found = model.scores(model.features([heads.images[i] for i in judged])).argmax(axis=1)
-            rates.setdefault((count, density), []).append(float(np.mean(found == labels[judged])))
-            if (count, density) == (shown, "saturated"):
-                np.add.at(confusion, (labels[judged], found), 1.0)
-    rows: list[dict[str, Cell]] = [
-        {
-            "exemplars": number,
-            "density": name,
-            "rate_percent": 100.0 * float(np.mean(of_splits)),
-            "deviation": 100.0 * float(np.std(of_splits)),
-        }
-        for (number, name), of_splits in rates.items()
-    ]
-    return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
-
-
-def _one_of_each(
-    persons: list[Appearance], classes: PoseClasses, rng: np.random.Generator
-) -> tuple[HeadSet, NDArray[np.int64]]:
-    """Render every person at every pan, person by person."""
-    labels = np.tile(np.arange(len(classes)), len(persons))
-    appearances = [person for person in persons for _ in range(len(classes))]
-    count = len(labels)
-    return make_heads(
-        count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=appearances
-    ), labels
-
-
 _SIZES = ((30.0, 50.0), (50.0, 100.0), (100.0, 200.0))
 _NETWORKS = {
     "as in training": NetworkErrors(),
@@ -339,25 +266,6 @@ def published_tables(train: int, count: int, rng: np.random.Generator) -> Iterat
                 rows.append({"form": form, "images": what, **figures})
         title = f"{name}: ours and Chen et al.'s as printed, both trained on {train} rendered images"
         yield Table.of(title, rows)
-
-
-def localisation_table(count: int, train: int, rng: np.random.Generator) -> Table:
-    """Chen et al.'s Table 1: ``count`` people, by localisers of ``train`` others and the package's."""
-    people, judged = make_pedestrians(train, rng), make_pedestrians(count, rng)
-    models = {"the package's (differential)": load_head_localiser()}
-    kinds: tuple[Weak, ...] = ("differential", "fisher")
-    for weak in kinds:
-        model = HeadLocaliser(weak)
-        models[f"{weak}, trained on {train}"] = model.fit(people.images, people.head_box)
-    rows: list[dict[str, Cell]] = [
-        {"head localiser": name, **localisation_figures(model, judged)} for name, model in models.items()
-    ]
-    for printed in (
-        ("differential, paper (real pictures)", 0.60, 0.64, 2.3),
-        ("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
-    ):
-        rows.append(dict(zip(rows[0], printed, strict=True)))
-    return Table.of(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
 
 
 def pose_table(count: int, rng: np.random.Generator) -> tuple[Table, Figure]:

@@ -414,8 +414,10 @@ def known_poses(
 HEADS = ("deep_belief", "templates")
 """Head pose classifiers: ours, and Chen et al.'s with distances after a Fisher projection."""
 
-PUBLISHED_TITLE = "Paper / ours: mean error in degrees (Chen et al. 2011 on CHIL with its particle filter; "
-"ours on rendered people)"
+PUBLISHED_TITLE = (
+    "Paper / ours: mean error in degrees (Chen et al. 2011 on CHIL with its particle filter; "
+    "ours on rendered people)"
+)
 
 GROUPS = {name: method.group for name, method in METHODS.items()}
 

@@ -1,27 +1,22 @@
-"""Head trackers on rendered sequences and on Oxford Town Centre, scored as in Ba & Odobez 2003, §4.2.
-
-Also the identification of the pan of static heads (Tables 1 to 3).
-"""
+"""Head trackers on rendered sequences and on Oxford Town Centre, scored as in Ba & Odobez 2003, §4.2."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.experiments.harness import Cell, Progress, Settings, Table
+from graphtrack.experiments.harness import Cell, Progress, Table
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.formats.towncentre import FPS
 from graphtrack.model import Model
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
-from perception.evaluation.classifiers import recognition_table
 from perception.experiments.street_heads import STEP, WALKING, head_boxes, labelled_runs
 from perception.following.ground import PERSON_IN_HEADS, BoxCamera
 from perception.following.guidance import GraphGuide
@@ -29,7 +24,6 @@ from perception.following.run import Followed, follow, to_track
 from perception.images.frames import Frame, FrameSource
 from perception.images.pixels import intersection_over_union
 from perception.pose.classes import PoseClasses
-from perception.pose.exemplars import Density
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
@@ -410,81 +404,3 @@ def _followed(
         "until": float(off[0]) if len(off) else float(len(estimates)),
         "pan": float(np.rad2deg(error[on].mean())) if on.any() else float("nan"),
     }
-
-
-PANS = (90.0, 67.5, 45.0, 22.5, 0.0, -22.5, -45.0, -67.5, -90.0)
-"""Degrees, in the order of Ba & Odobez's Table 2."""
-
-CONFUSION = np.array(
-    [
-        [100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [14.7, 85.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 5.9, 94.1, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 5.9, 94.1, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 5.9, 94.1, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.1, 91.0, 5.9],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
-    ]
-)
-"""Ba & Odobez 2003, Table 2: per cent of the heads of each pan (rows) classified as each pan (columns)."""
-
-_PAPER: dict[tuple[int, Density, int], str] = {
-    (68, "gaussian", 1): "90",
-    (68, "saturated", 1): "94",
-    (68, "gaussian", 2): "87.5",
-    (68, "saturated", 2): "94.8",
-    (140, "gaussian", 3): "67.2 ± 2.4",
-    (140, "saturated", 4): "70.5 ± 2.3",
-}
-"""Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them for training) and
-exemplars."""
-
-_EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
-
-
-def still_heads(settings: Settings) -> tuple[Table, Table]:
-    """Return Tables 1 and 3 in one, and Table 2."""
-    splits = 2 if settings.quick else 10
-    records: list[dict[str, Cell]] = []
-    confusion = np.zeros((len(PANS), len(PANS)))
-    for k, (people, exemplars) in enumerate(_EXEMPLARS.items()):
-        if settings.quick:
-            people, exemplars = people // 4 // 2 * 2, exemplars[:2]
-        rows, found = recognition_table(people, exemplars, settings.rng(100 + k), repetitions=splits)
-        printed, _ = recognition_table(
-            people, exemplars, settings.rng(100 + k), repetitions=splits, as_published=True
-        )
-        records += [_record(people, *both) for both in zip(rows, printed, strict=True)]
-        if k == 0:
-            confusion = found[::-1, ::-1]
-    named = Table.of("Identification of nine pans (Ba & Odobez 2003, Tables 1 and 3)", records)
-    return named, _confusions(confusion)
-
-
-def _record(people: int, row: Mapping[str, Any], printed: Mapping[str, Any]) -> dict[str, Cell]:
-    return {
-        "people learned from": people // 2,
-        "exemplars a pose": row["exemplars"],
-        "density": row["density"],
-        "paper (%)": _PAPER.get((people, row["density"], row["exemplars"])),
-        "ours (%)": f"{row['rate_percent']:.1f} ± {row['deviation']:.1f}",
-        "as printed (%)": f"{printed['rate_percent']:.1f} ± {printed['deviation']:.1f}",
-    }
-
-
-def _confusions(ours: FloatArray) -> Table:
-    """Return a row for each true pan, of the paper and of ours."""
-    records: list[dict[str, Cell]] = [
-        {
-            "true pan (°)": pan,
-            "of": name,
-            **{f"{other:g}": round(float(value), 1) for other, value in zip(PANS, matrix[k], strict=True)},
-        }
-        for k, pan in enumerate(PANS)
-        for name, matrix in (("paper", CONFUSION), ("ours", ours))
-    ]
-    return Table.of(
-        "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
-    )

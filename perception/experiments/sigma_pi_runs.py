@@ -6,7 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
@@ -81,6 +81,10 @@ FROM_BOXES: Mapping[str, SigmaPiParameters] = {
 }
 """Methods with the first box: the tracker; without views; and motion only."""
 
+LEAST_LOST = 25
+"""Least number of frames at the end of a run without a success, two seconds of a rendered sequence, for which
+the person counts as lost for good."""
+
 _LEAST_VISIBLE = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
 
@@ -91,23 +95,24 @@ class Tally:
 
     Attributes
     ----------
-    estimates : of every frame
     frames : in which the person is labelled
     missing : of them, those without a found person
     mismatch : of them, those with an estimated centre outside the person's box
+    failing : of them, those since the last success
+    longest : most of them in a row without a success
     empty, alarms : frames without people, and those of them with a found person
     """
 
-    estimates: list[BoxEstimate] = field(default_factory=list)
     frames: int = 0
     missing: int = 0
     mismatch: int = 0
+    failing: int = 0
+    longest: int = 0
     empty: int = 0
     alarms: int = 0
 
     def add(self, estimate: BoxEstimate, label: Box | None, *, counts: bool = True) -> None:
-        """Add a frame; excluded frames, such as of a half hidden person, only add the estimate."""
-        self.estimates.append(estimate)
+        """Add a frame; excluded frames, such as of a half hidden person, do not count."""
         if not counts:
             return
         if label is None:
@@ -116,15 +121,36 @@ class Tally:
             return
         self.frames += 1
         low, size = np.array(label[:2]), np.array(label[2:])
+        self.failing += 1
         if not estimate.found:
             self.missing += 1
         elif not ((low <= estimate.centre) & (estimate.centre <= low + size)).all():
             self.mismatch += 1
+        else:
+            self.failing = 0
+        self.longest = max(self.longest, self.failing)
 
     @property
     def success(self) -> float:
         """Share of the frames in which the estimated centre lies in the labelled box."""
         return 1.0 - (self.missing + self.mismatch) / max(self.frames, 1)
+
+    @property
+    def lost_frames(self) -> int:
+        """Frames at the end without a success, if they are at least `LEAST_LOST`; else 0.
+
+        The person is present in all of them: a run that has such frames has lost the person for good.
+        """
+        return self.failing if self.failing >= LEAST_LOST else 0
+
+
+def pooled_success(tallies: Sequence[Tally]) -> float:
+    """Success over the frames of several runs, in per cent, as the total of Yan et al. 2011, Table 1.
+
+    Their 90.28 % is 1 − (534 + 356) / 9155, and not the mean of the six sequences' rates.
+    """
+    failures = sum(tally.missing + tally.mismatch for tally in tallies)
+    return 100.0 * (1.0 - failures / max(sum(tally.frames for tally in tallies), 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,9 +85,9 @@ class HeadLocaliser(Stored):
         self._place, self._place_weight = np.array([np.zeros(4), np.ones(4)]), 0.0
 
     @classmethod
-    def as_published(cls, *, seed: int = 0) -> Self:
+    def as_published(cls, weak: Weak = "differential", *, seed: int = 0) -> Self:
         """Return the form of Chen et al. 2011, §2.2: plain, sums of gradients, in the window of the head."""
-        return cls(seed=seed, plain=True, around=1.0, normalised=False)
+        return cls(weak, seed=seed, plain=True, around=1.0, normalised=False)
 
     def fit(self, images: Sequence[Image], head_boxes: ArrayLike, *, negatives: int = 4) -> Self:
         """Learn from crops of people and their head boxes (n, 4).
@@ -144,14 +144,20 @@ class HeadLocaliser(Stored):
         self.card = replace(self.card, images=len(images))
         return self
 
-    def locate(self, image: Image) -> HeadCandidates:
-        """Return candidates in a crop (h, w, 3) or (h, w) of a person."""
+    def locate(self, image: Image, threshold: float | None = None) -> HeadCandidates:
+        """Return candidates in a crop (h, w, 3) or (h, w) of a person.
+
+        Parameters
+        ----------
+        threshold : least score of candidates after the first; by default the model's
+        """
+        least = self.threshold if threshold is None else threshold
         if self._detector is None:
             raise InputError("a head localiser that was not fitted", "fit or load first")
         integral, factor = _prepared(image)
         windows, scores = self._judged(integral)
         kept = non_maximum_suppression(windows, scores, _OVERLAP)
-        kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
+        kept = [k for k in kept if k == kept[0] or scores[k] >= least]
         boxes = windows[kept] if self.plain else np.array([_refined(windows, scores, k) for k in kept])
         return HeadCandidates(boxes / (*factor, *factor), scores[kept])
 

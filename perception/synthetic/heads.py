@@ -44,6 +44,7 @@ class HeadVariation:
     shoulders : 1-σ of the body's angle to the head (radians)
     offset, scale : 1-σ of the crop's place and of the logarithm of its size, relative to the head's box
     blur : 1-σ of the camera's blur in pixels
+    shade : share by which the ambient light is weakened and the light from one side strengthened, 0…1
     """
 
     size: tuple[int, int] = (16, 32)
@@ -56,6 +57,7 @@ class HeadVariation:
     offset: float = 0.025
     scale: float = 0.04
     blur: float = 0.4
+    shade: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,15 +153,16 @@ def render_head(
     turn = rotation_z(pan) @ rotation_up(tilt) @ rotation_roll(rng.normal(0.0, variation.roll))
     head = head_solids(look).moved(np.eye(3), (0.03, 0.0, 0.1)).moved(turn, (-0.03, 0.0, -0.1))
     body = neck_and_shoulders(look).moved(rotation_z(pan + rng.normal(0.0, variation.shoulders)), (0, 0, 0))
-    shown = _cast(head, body, size, rng.uniform(*variation.elevation), random_light(rng))
+    elevation, light = rng.uniform(*variation.elevation), random_light(rng).shaded(variation.shade)
+    shown = _cast(head, body, size, elevation, light)
     first_u, last_u, first_v, last_v = shown.extent[CORE]
     width, height = last_u + 1.0 - first_u, last_v + 1.0 - first_v
     grow = np.exp(rng.normal(0.0, variation.scale, 2)) * 1.06
     centre = np.array([first_u + width / 2.0, first_v + height / 2.0])
     centre += rng.normal(0.0, variation.offset, 2) * (width, height)
     background = random_background(shown.covered.shape[0], shown.covered.shape[1], rng)
-    light = np.where(shown.covered[..., None], shown.colour, background)
-    crop = _crop(light, centre, (width * grow[0], height * grow[1]), size)
+    picture = np.where(shown.covered[..., None], shown.colour, background)
+    crop = _crop(picture, centre, (width * grow[0], height * grow[1]), size)
     skin = _crop(shown.skin.astype(np.float32), centre, (width * grow[0], height * grow[1]), size) > 0.5
     return develop(crop, random_sensor(rng, variation.blur), rng), skin
 

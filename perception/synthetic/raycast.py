@@ -301,6 +301,14 @@ class Light(NamedTuple):
         toward = np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing), np.sin(height)
         return cls(*(tuple(np.asarray(values, float).tolist()) for values in (toward, key, ambient)))
 
+    def shaded(self, share: float) -> Light:
+        """Return a light with less ambient light and a stronger key light, by a share 0…1."""
+        if share == 0.0:
+            return self
+        b, g, r = ((1.0 + share) * value for value in self.key)
+        blue, green, red = ((1.0 - share) * value for value in self.ambient)
+        return Light(self.direction, (b, g, r), (blue, green, red))
+
 
 class TiledFloor(NamedTuple):
     """A tiled floor z = 0.

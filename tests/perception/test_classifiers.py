@@ -10,7 +10,6 @@ import pytest
 from selection import others_slow
 
 from graphtrack.errors import InputError
-from perception.evaluation.classifiers import recognition_table
 from perception.models import load_classifier
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier, evaluate, fit_temperature_and_share, with_neighbours
@@ -164,14 +163,6 @@ def test_classes_agree_with_the_observation_table() -> None:
     log_likelihood = np.log(np.full((1, 36), 1.0 / 36.0))
     np.testing.assert_allclose(np.exp(classes.pan_log_likelihood(log_likelihood)), 1.0 / 12.0)
     np.testing.assert_allclose(np.rad2deg(PoseClasses.half_circle().pan), np.arange(-90.0, 91.0, 22.5))
-
-
-@pytest.mark.slow
-def test_recognition_of_004_on_a_few_people() -> None:
-    rows, confusion = recognition_table(16, [1], np.random.default_rng(0))
-    assert [(row["exemplars"], row["density"]) for row in rows] == [(1, "gaussian"), (1, "saturated")]
-    assert all(row["rate_percent"] > 40.0 for row in rows)  # by chance: 11
-    np.testing.assert_allclose(confusion.sum(axis=1), 100.0)
 
 
 SMALL = {"units": (40, 20), "epochs": 6, "pretraining_epochs": 1}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
+from perception.evaluation.localisation import NATURAL, WEAK, Located, localisation_tables
 from perception.images.pixels import intersection_over_union
 from perception.models import load_head_localiser
 from perception.pose.boosting import BoostedBlocks, Quantised, Weak, reweighted
@@ -163,3 +164,43 @@ def test_plain_the_detector_alone_judges_windows_all_over_the_box(people: People
     away = np.abs(found.boxes[0] * factor - windows).max(axis=1)
     assert away.min() < 1.5
     assert mean_overlap(plain, people[1]) > 0.2
+
+
+def test_figures_of_a_threshold_are_those_of_the_model_with_it(fitted: HeadLocaliser, people: People) -> None:
+    found = Located.of(fitted, people[1])
+    free = found.figures(-np.inf)
+    assert (free[2] == [len(scores) for scores in found.scores]).all()
+    overlap = {
+        threshold: [
+            intersection_over_union(fitted.locate(image, threshold).boxes, true)
+            for image, true in zip(people[1].images, people[1].head_box, strict=True)
+        ]
+        for threshold in (0.0, 0.3)
+    }
+    for threshold, of_crops in overlap.items():
+        first, best, count = found.figures(threshold)
+        np.testing.assert_allclose(first, [one[0] for one in of_crops])
+        np.testing.assert_allclose(best, [one.max() for one in of_crops])
+        np.testing.assert_array_equal(count, [len(one) for one in of_crops])
+        assert (count <= free[2]).all() and (best <= free[1]).all() and (count >= 1).all()
+
+
+def test_the_threshold_of_a_recall_accepts_that_share_of_the_heads() -> None:
+    scores = [np.array([0.9, 0.1 * k]) for k in range(10)]
+    found = Located([np.array([0.1, 0.8])] * 10 + [np.array([0.2])], [*scores, np.array([0.5])])
+    for recall, least in ((1.0, 0.0), (0.8, 0.1), (0.5, 0.4)):
+        threshold = found.threshold_of_recall(recall)
+        assert threshold == pytest.approx(least)
+        assert np.mean([score[1] >= threshold for score in scores]) >= recall
+    assert Located([np.array([0.2])], [np.array([0.5])]).threshold_of_recall(0.9) == -np.inf
+
+
+@pytest.mark.slow
+def test_the_localisation_table_has_both_features_and_the_paper() -> None:
+    rows, differences = localisation_tables(20, 40, np.random.default_rng(0), rounds=20)
+    found = {(row["form"], row["weak classifier"], row["threshold"]): row for row in rows.records()}
+    for row in differences.records():
+        first, second = (found[row["form"], weak, row["threshold"]][row["measure"]] for weak in WEAK)
+        assert row["difference"] == pytest.approx(first - second)
+    assert found["the package's", "differential", "the model's own"]["paper: candidates"] is None
+    assert found["as printed", "fisher", NATURAL]["paper: candidates"] == 3.0

@@ -11,8 +11,25 @@ import pytest
 from command import run
 
 from graphtrack.errors import InputError
+from graphtrack.experiments.harness import Settings, Table
 from perception.experiments.head_trackers import heads_of, slower
-from perception.experiments.sigma_pi_runs import Tally, recordings
+from perception.experiments.sigma_pi_runs import (
+    LEAST_LOST,
+    METHODS,
+    OURS,
+    PersonJob,
+    Tally,
+    pooled_success,
+    recordings,
+)
+from perception.experiments.yan_sigma_pi import (
+    PAPER,
+    difference_table,
+    frames_of,
+    jobs_of,
+    loss_table,
+    tables_of,
+)
 from perception.images.pixels import Image
 from perception.trackers import color, sigma_pi_cues
 from perception.trackers.sigma_pi import SigmaPiTracker
@@ -198,7 +215,71 @@ def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
     tally.add(lost, None)
     tally.add(outside, label, counts=False)
     assert (tally.frames, tally.missing, tally.mismatch, tally.empty, tally.alarms) == (8, 1, 2, 2, 1)
-    assert tally.success == 5 / 8 and len(tally.estimates) == 11
+    assert tally.success == 5 / 8
+    assert pooled_success([tally, Tally(frames=8)]) == 100.0 * 13 / 16
+
+
+def test_a_run_without_a_success_to_the_end_has_lost_the_person_for_good() -> None:
+    label, estimate = (10.0, 10.0, 20.0, 20.0), SigmaPiTracker(seed=0).start(ROOM, None)
+    inside = replace(estimate, found=True, box=(15.0, 15.0, 4.0, 4.0))
+    astray, gone = replace(inside, box=(40.0, 15.0, 4.0, 4.0)), replace(inside, found=False)
+    tally = Tally()
+    for one in (*[astray] * LEAST_LOST, inside, *[gone, astray] * LEAST_LOST):
+        tally.add(one, label)
+    tally.add(gone, None)  # the person left: not a failure
+    assert tally.lost_frames == tally.longest == 2 * LEAST_LOST
+    tally.add(inside, label)
+    assert tally.lost_frames == 0 and tally.longest == 2 * LEAST_LOST
+    for _ in range(LEAST_LOST - 1):
+        tally.add(gone, label)
+    assert tally.lost_frames == 0
+    tally.add(gone, label)
+    assert tally.lost_frames == LEAST_LOST
+
+
+def test_the_papers_total_is_over_frames_and_one_rate_differs_from_its_counts() -> None:
+    assert sum(frames for frames, *_ in PAPER.values()) == 9155
+    assert pooled_success([Tally(frames, *failures) for frames, *failures, _ in PAPER.values()]) == (
+        pytest.approx(90.28, abs=0.005)
+    )
+    differing = [
+        kind
+        for kind, (frames, missing, mismatch, rate) in PAPER.items()
+        if abs(100.0 * (1.0 - (missing + mismatch) / frames) - rate) > 0.011
+    ]
+    assert differing == ["person moving and sitting 2"]
+
+
+def test_rendered_sequences_are_as_long_as_the_papers() -> None:
+    drawn, real = jobs_of(Settings())
+    assert {job.name: job.frames for job in drawn}.items() >= {k: v[0] for k, v in PAPER.items()}.items()
+    assert not real and frames_of("person moving 2", quick=True) == 120
+
+
+def test_tables_of_runs_weigh_frames_and_show_every_method() -> None:
+    jobs = [PersonJob(kind, (0, 0, k), None) for kind in PAPER for k in range(2)]
+    good, bad = Tally(300, 0, 30, 0, 5), Tally(100, 60, 0, 60, 60)
+    results = [{name: good if name == OURS or k % 2 else bad for name in METHODS} for k in range(len(jobs))]
+    tables = {
+        one.title: one.records() for one in tables_of(Settings(), jobs, results) if isinstance(one, Table)
+    }
+    losses = next(rows for title, rows in tables.items() if title.startswith("Lost for good"))
+    assert {row["method"] for row in losses} == set(METHODS)
+    for row in losses:
+        lost = row["method"] != OURS
+        assert row["runs lost (%)"] == 50.0 * lost
+        assert row["longest loss, greatest (frames)"] == (60 if lost else 5)
+        assert row["frames lost (%)"] == pytest.approx(60.0 / 4.0 * lost)
+        assert row["success (%)"] == pytest.approx(100.0 * (1.0 - (90.0 / 400.0 if lost else 0.1)))
+    total = next(rows for title, rows in tables.items() if title.startswith("Paper / ours"))[-1]
+    assert total["paper: success"] == pytest.approx(90.28, abs=0.005) and total["ours: missing"] == 0.0
+    assert [total[f"ours: {name}"] for name in METHODS] == pytest.approx(
+        [90.0 if name == OURS else 77.5 for name in METHODS]
+    )
+    kind = {"person moving 1": results[:2]}
+    for row in difference_table(kind, np.random.default_rng(0)).records():
+        assert row["ours better (sequences)"] == 1 and row["worse (sequences)"] == 0
+    assert loss_table(kind, "one").records()[1]["success in the other runs (%)"] == 90.0
 
 
 def test_people_of_a_recording_are_cut_where_frames_are_left_out(tmp_path: Path) -> None:
