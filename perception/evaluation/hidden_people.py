@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import log_softmax
+from scipy.special import expit, log_softmax
 
 from graphtrack.evaluation.metrics import bootstrap
 from graphtrack.experiments.harness import Cell, Progress, Table, interval_cells
@@ -196,27 +196,27 @@ def _errors(one: Classified, rng: np.random.Generator) -> Iterator[dict[str, Cel
 
 
 def fitted_shares(probability: FloatArray, hidden: FloatArray, *, grows: bool) -> tuple[float, float]:
-    """Return ε and the exponent c of the outlier share 1 − (1 − ε)·(1 − h)^c of maximum likelihood.
+    """Return ε and the exponent c of the outlier share 1 − (1 − ε)·(1 − h^c) of maximum likelihood.
 
     Parameters
     ----------
     probability : (n,) of the true class
     hidden : (n,) shares h
-    grows : whether c is fitted; else it is 0
+    grows : whether c is fitted; else nothing grows with h (c = ∞)
     """
 
-    def loss(values: FloatArray) -> float:
-        share = 1.0 / (1.0 + np.exp(-values[0]))
-        exponent = float(np.exp(values[1])) if grows else 0.0
-        return -float(_logs(probability, hidden, share, exponent).mean())
+    def values_of(point: FloatArray) -> tuple[float, float]:
+        return float(expit(point[0])), float(np.exp(np.clip(point[1], -3.0, 5.0))) if grows else np.inf
 
-    best = minimize(loss, [-2.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7})
-    share, exponent = 1.0 / (1.0 + np.exp(-best.x[0])), float(np.exp(best.x[1])) if grows else 0.0
-    return float(share), exponent
+    def loss(point: FloatArray) -> float:
+        return -float(_logs(probability, hidden, *values_of(point)).mean())
+
+    options = {"xatol": 1e-3, "fatol": 1e-7}
+    return values_of(minimize(loss, [-2.0, 1.0], method="Nelder-Mead", options=options).x)
 
 
 def _logs(probability: FloatArray, hidden: FloatArray, share: float, exponent: float) -> FloatArray:
-    informed = (1.0 - share) * (1.0 - hidden) ** exponent
+    informed = (1.0 - share) * (1.0 - np.where(hidden < 1.0, hidden**exponent, float(exponent < np.inf)))
     return np.asarray(np.log(informed * probability + (1.0 - informed) / len(CLASSES)))
 
 

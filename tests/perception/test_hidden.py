@@ -50,13 +50,13 @@ def test_shares_are_shares_and_grow_with_each_further_person(boxes) -> None:  # 
     assert (more[:-1] >= found).all()
 
 
-@given(st.floats(0.0, 1.0), st.floats(0.0, 5.0), st.floats(0.001, 0.5))
+@given(st.floats(0.0, 1.0), st.floats(0.1, 20.0), st.floats(0.001, 0.5))
 def test_a_hidden_share_is_an_outlier_share(share: float, exponent: float, outliers: float) -> None:
-    """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − h)^c."""
+    """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − h^c)."""
     classes = np.array([[0.7, 0.2, 0.05, 0.05]])
-    likelihood = LikelihoodParameters(hidden_outliers=exponent)
+    likelihood = LikelihoodParameters(hidden_exponent=exponent)
     doubtful = less_hidden(classes, np.array([share]), likelihood)
-    total = 1.0 - (1.0 - outliers) * (1.0 - share) ** exponent
+    total = 1.0 - (1.0 - outliers) * (1.0 - share**exponent)
     np.testing.assert_allclose(
         (1.0 - outliers) * doubtful + outliers / 4.0, (1.0 - total) * classes + total / 4.0, atol=1e-12
     )
