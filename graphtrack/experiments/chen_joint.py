@@ -93,7 +93,7 @@ class Scores:
 
     def mean(self, *key: str) -> float:
         """Mean over the people of a (preset, method, angle); NaN if it was not run."""
-        return float(self.errors.get(key, NOT_RUN).mean())  # type: ignore[call-overload]
+        return float(self.errors.get(key, NOT_RUN).mean())  # type: ignore[arg-type]
 
 
 def errors_of(estimate: Track, track: Track) -> list[float]:
@@ -440,8 +440,8 @@ def _parts(settings: Settings) -> Parts:
     yield (
         "Fitted: q, D_body, D_head, κ₁ and, in joint, κ₂, for each method, preset and source by its own "
         f"mean error of body and head on other people, or styles, of that source ({evaluations} evaluations "
-        "of each). iSAM2 solves the chain's graph, and is run with the parameters fitted to it. No method learns constants of each "
-        "person."
+        "of each). iSAM2 solves the chain's graph, and is run with the parameters fitted to it. No method "
+        "learns constants of each person."
     )
     yield (
         "Online estimates use the past alone, offline ones the whole track. Differences between methods are "
