@@ -1,16 +1,18 @@
 """Fixtures that all tests share."""
 
 import importlib.util
+import json
 import os
 import re
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from graphtrack.errors import InputError
+from graphtrack.experiments.harness import Cell, Table
 
 # Parallel tests, or the other work of a shared machine, use all processors: more threads would wait for each
 # other, which makes association ten times as slow. Here, since libraries look at it when they are loaded.
@@ -23,6 +25,38 @@ if "tests/benchmarks" not in sys.argv:
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)
 settings.register_profile("nightly", deadline=None, max_examples=400, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+
+FIGURES = pytest.StashKey[dict[str, list[dict[str, Cell]]]]()
+"""Title of a table → its rows."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    help_text = "write what tests measure (fixture `figures`) to this file, as `--json` of an experiment"
+    parser.addoption("--figures", metavar="FILE", help=help_text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[FIGURES] = {}
+    if config.getoption("--figures") and getattr(config.option, "numprocesses", None):
+        raise pytest.UsageError("--figures: without --numprocesses, whose workers measure apart")
+
+
+@pytest.fixture
+def figures(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Record a row of a named table: ``figures(title, {column: value})``; all rows have the same columns."""
+
+    def record(title: str, row: dict[str, Cell]) -> None:
+        request.config.stash[FIGURES].setdefault(title, []).append(row)
+
+    return record
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    path = session.config.getoption("--figures")
+    if path:
+        tables = [Table.of(title, rows).to_dict() for title, rows in session.config.stash[FIGURES].items()]
+        Path(path).write_text(json.dumps(tables), encoding="utf-8")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
