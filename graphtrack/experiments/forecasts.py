@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.evaluation.forecasts import ForecastScore, judge_forecasts
 from graphtrack.experiments.harness import (
@@ -20,9 +22,10 @@ from graphtrack.experiments.harness import (
     evenly,
 )
 from graphtrack.forecasting.motion import ForecastParameters
-from graphtrack.forecasting.recorded import forecast
+from graphtrack.forecasting.recorded import Forecasts, forecast
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.learning.forecasts import fit_forecast
-from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 SCENES: Mapping[str, tuple[str, ...]] = {
     "ucy/zara01": ("ucy", "zara01", "obsmat.txt"),
@@ -60,7 +63,11 @@ def ratios(one: ForecastScore) -> dict[str, Cell]:
 def scored(tracks: TrackSet, parameters: ForecastParameters | None) -> ForecastScore:
     """Return the score of forecasts of a scene from exact positions."""
     made = forecast(tracks, horizon=HORIZON, step=STEP, history=HISTORY, parameters=parameters)
-    return judge_forecasts(made.columns, tracks)
+    return judge_forecasts(_floats(made.columns), tracks)
+
+
+def _floats(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
+    return {name: values.astype(float) for name, values in columns.items()}
 
 
 def _clips(settings: Settings) -> tuple[TrackSet, TrackSet] | None:
@@ -89,6 +96,11 @@ def _scenes(settings: Settings, scenes: Mapping[str, TrackSet]) -> Iterator[dict
         settings.progress(1)
 
 
+def _a_second_ahead(track: Track, parameters: ForecastParameters | None) -> Forecasts:
+    """Return forecasts of a clip: clips share no place, and each is a scene of its own."""
+    return forecast(track, horizon=HEAD_HORIZON, step=HEAD_STEP, every=HEAD_EVERY, parameters=parameters)
+
+
 def _heads(settings: Settings) -> Iterator[dict[str, Cell]]:
     """Yield the errors a second ahead of people who turn, with and without their heads."""
     clips = _clips(settings)
@@ -98,11 +110,7 @@ def _heads(settings: Settings) -> Iterator[dict[str, Cell]]:
     learned = None if settings.quick else fit_forecast({"motion capture": learned_from}).parameters
     for head in ("observed", "hidden"):
         shown = turning if head == "observed" else turning.map(lambda track: replace(track, head=None))
-        # Clips share no place: each is a scene of its own.
-        made = [
-            forecast(one, horizon=HEAD_HORIZON, step=HEAD_STEP, every=HEAD_EVERY, parameters=learned).columns
-            for one in shown
-        ]
+        made = [_floats(_a_second_ahead(one, learned).columns) for one in shown]
         columns = {name: np.concatenate([one[name] for one in made]) for name in made[0]}
         found = judge_forecasts(columns, turning)
         last = found.by_ahead[-1]

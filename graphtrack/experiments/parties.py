@@ -79,7 +79,13 @@ def salsa(settings: Settings) -> tuple[TrackSet, GroupLabels] | None:
 
 def with_evidence(people: TrackSet, hidden: tuple[str, ...]) -> TrackSet:
     """Return people without some of the channels "body" and "head"."""
-    return people.map(lambda track: replace(track, **dict.fromkeys(hidden)))
+    return people.map(
+        lambda track: replace(
+            track,
+            body=None if "body" in hidden else track.body,
+            head=None if "head" in hidden else track.head,
+        )
+    )
 
 
 def among(labels: GroupLabels, people: TrackSet) -> GroupLabels:
@@ -151,17 +157,16 @@ def _orientations(people: TrackSet, labels: GroupLabels, settings: Settings) -> 
 
 def _observed(people: TrackSet, heads: bool, rng: np.random.Generator) -> TrackSet:
     """Return exact positions, and noisy heads where they are observed."""
-    seen = people.map(lambda track: replace(track, body=None, head=track.head if heads else None))
-    return add_noise(seen, head_kappa=HEAD_KAPPA, rng=rng) if heads else seen
+    observed = people.map(lambda track: replace(track, body=None, head=track.head if heads else None))
+    return add_noise(observed, head_kappa=HEAD_KAPPA, rng=rng) if heads else observed
 
 
 def look_labels(known: Party) -> LookLabels:
     """Return the true gaze targets of a simulated party."""
     columns = known.look_columns()
     order = np.lexsort((columns["frame"], columns["track_id"]))
-    return LookLabels(
-        *(columns[name][order] for name in ("frame", "track_id", "target")), Path("simulated party")
-    )
+    frame, person, target = (columns[name][order] for name in ("frame", "track_id", "target"))
+    return LookLabels(frame, person, target, Path("simulated party"))
 
 
 def _positions_and_heads(known: Party) -> TrackSet:
@@ -180,8 +185,8 @@ def _attention(settings: Settings) -> Iterator[dict[str, Cell]]:
         for k in range(settings.few(PARTIES))
     ]
     for heads, observe in HEADS.items():
-        seen = observe(_positions_and_heads(learned_from), settings.rng(0, 4))
-        learned = fit_attention(seen, look_labels(learned_from), hold_out=0.0).parameters
+        observed = observe(_positions_and_heads(learned_from), settings.rng(0, 4))
+        learned = fit_attention(observed, look_labels(learned_from), hold_out=0.0).parameters
         scenes = [observe(_positions_and_heads(one), settings.rng(1 + k, 4)) for k, one in enumerate(judged)]
         for name, online in product(("default", "learned"), (False, True)):
             parameters = learned if name == "learned" else AttentionParameters()
@@ -211,8 +216,8 @@ def _parts(settings: Settings) -> Parts:
         yield found
         errors = Table.of("Bodies and heads at a recorded party", _orientations(*recorded, settings))
         yield errors
-        whole = [row for row in found.records() if row["people"] == len(recorded[0])]
-        yield Panel("groups: F1, two thirds", whole, "evidence", "F1, two thirds", "method")
+        everyone_of = [row for row in found.records() if row["people"] == len(recorded[0])]
+        yield Panel("groups: F1, two thirds", everyone_of, "evidence", "F1, two thirds", "method")
         own = [row for row in errors.records() if row["people"] == "members"]
         for angle in ANGLES:
             rows = [{**row, "by": f"{row['model']}, {row['way']}"} for row in own]

@@ -290,8 +290,8 @@ def _parts(settings: Settings) -> Parts:
         yield Panel("Town Centre's first minute", shown, "evidence", "IDF1", "input")
     rows = list(_crowds(settings))
     yield Table.of("Crowds", rows)
-    if others := list(_more(settings)):
-        yield Table.of("Street and square", others)
+    if more := list(_more(settings)):
+        yield Table.of("Street and square", more)
     for name in crowds:
         own = [row for row in rows if row["scene"] == name]
         yield Panel(name, own, "method", "IDF1", "gaps filled")
