@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from graphtrack.association.associate import associate
 from graphtrack.errors import InputError
@@ -30,7 +34,6 @@ from graphtrack.simulation.detector import Detector, detect
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.track import TrackSet
-from perception.interface import observe
 
 MATCH = 1.0
 """Metres within which a track matches a person."""
@@ -243,10 +246,16 @@ class TownCentre:
         """Return the figures of tracks within a metre."""
         return figures(score(tracks, self.truth, metres=MATCH).together)
 
-    def observed(self, *, searched: bool) -> Mapping[str, Any]:
-        """Observe people in the public detections' boxes, or search for them in the images."""
-        boxes = None if searched else self.folder / "det.txt"
-        return observe(self.folder / "img1", boxes=boxes, calibration=self.calibration, fps=RATE)
+    def observed(self, *, searched: bool) -> dict[str, Any]:
+        """Observe people in the public detections' boxes, or search for them: ``perception observe``."""
+        boxes = [] if searched else ["--boxes", str(self.folder / "det.txt")]
+        with TemporaryDirectory() as folder:
+            table = Path(folder) / "observed.parquet"
+            camera = ["--calibration", str(self.calibration), "--fps", f"{RATE:g}"]
+            command = ["perception", "observe", str(self.folder / "img1"), *boxes, *camera, "-o", str(table)]
+            subprocess.run([sys.executable, "-m", *command], check=True, stdout=subprocess.DEVNULL)
+            found = pd.read_parquet(table)
+        return {str(name): found[name].to_numpy() for name in found}
 
 
 def _minute(town: TownCentre, settings: Settings) -> Iterator[Row]:
