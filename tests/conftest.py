@@ -12,7 +12,6 @@ import pytest
 from hypothesis import settings
 
 from graphtrack.errors import InputError
-from graphtrack.experiments.harness import Cell, Table
 
 # Parallel tests, or the other work of a shared machine, use all processors: more threads would wait for each
 # other, which makes association ten times as slow. Here, since libraries look at it when they are loaded.
@@ -27,7 +26,8 @@ settings.register_profile("nightly", deadline=None, max_examples=400, print_blob
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
-FIGURES = pytest.StashKey[dict[str, list[dict[str, Cell]]]]()
+Row = dict[str, str | int | float | None]
+FIGURES = pytest.StashKey[dict[str, list[Row]]]()
 """Title of a table → its rows."""
 
 
@@ -46,7 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def figures(request: pytest.FixtureRequest) -> Callable[..., None]:
     """Record a row of a named table: ``figures(title, {column: value})``; all rows have the same columns."""
 
-    def record(title: str, row: dict[str, Cell]) -> None:
+    def record(title: str, row: Row) -> None:
         request.config.stash[FIGURES].setdefault(title, []).append(row)
 
     return record
@@ -55,6 +55,8 @@ def figures(request: pytest.FixtureRequest) -> Callable[..., None]:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     path = session.config.getoption("--figures")
     if path:
+        from graphtrack.experiments.harness import Table  # loads what must find the number of threads set
+
         tables = [Table.of(title, rows).to_dict() for title, rows in session.config.stash[FIGURES].items()]
         Path(path).write_text(json.dumps(tables), encoding="utf-8")
 
