@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -10,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from graphtrack.constants.declared import Trust
+from graphtrack.errors import InputWarning
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
 from graphtrack.experiments.harness import (
     BODY_KAPPA,
@@ -198,7 +200,9 @@ def _declared(settings: Settings) -> Iterator[dict[str, Cell]]:
             drawn = strollers(settings.rng(seed, 6), people=settings.few(PEOPLE, 3), seconds=20.0, turned=0.0)
             people = drawn.map(lambda track, by=factor: with_declared(track, by))  # type: ignore[misc]
             for name, trust in TRUSTS.items():
-                estimates = smooth(people, trust=trust).tracks
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", InputWarning)
+                    estimates = smooth(people, trust=trust).tracks
                 held = [
                     100.0 * coverage_of(people, estimates, quantity) for quantity in ("position", *ANGLES)
                 ]

@@ -213,6 +213,7 @@ def _more(settings: Settings) -> Iterator[Row]:
         rows: list[list[Row]] = []
         for seed in range(settings.few(SEEDS)):
             scene = simulated_detections("KITTI 0012", street, STREET_FAULTS, None, settings.rng(seed, 1))
+            scene = shortened(scene, settings)
             rows.append([{"scene": scene.name, **row} for row in compared(scene, methods())])
             settings.progress(1)
         yield from over_seeds(rows)
