@@ -1,10 +1,11 @@
 """Fixtures that all tests share."""
 
 import importlib.util
+import json
 import os
 import re
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,41 @@ if "tests/benchmarks" not in sys.argv:
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)
 settings.register_profile("nightly", deadline=None, max_examples=400, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+
+Row = dict[str, str | int | float | None]
+FIGURES = pytest.StashKey[dict[str, list[Row]]]()
+"""Title of a table → its rows."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    help_text = "write what tests measure (fixture `figures`) to this file, as `--json` of an experiment"
+    parser.addoption("--figures", metavar="FILE", help=help_text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[FIGURES] = {}
+    if config.getoption("--figures") and getattr(config.option, "numprocesses", None):
+        raise pytest.UsageError("--figures: without --numprocesses, whose workers measure apart")
+
+
+@pytest.fixture
+def figures(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Record a row of a named table: ``figures(title, {column: value})``; all rows have the same columns."""
+
+    def record(title: str, row: Row) -> None:
+        request.config.stash[FIGURES].setdefault(title, []).append(row)
+
+    return record
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    path = session.config.getoption("--figures")
+    if path:
+        from graphtrack.experiments.harness import Table  # loads what must find the number of threads set
+
+        tables = [Table.of(title, rows).to_dict() for title, rows in session.config.stash[FIGURES].items()]
+        Path(path).write_text(json.dumps(tables), encoding="utf-8")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -31,8 +32,8 @@ BLOCK = re.compile(r"(<!-- results: (?P<name>(?:about )?[\w-]+) -->\n).*?(<!-- /
 MARKER = re.compile(r"^\[(?P<kind>table|setting) (?P<name>[\w-]+)(?:: [^\]\n]*)?\]$", flags=re.M)
 """Line of a page that the table, or the setting of a data file, replaces in the built site."""
 FIELD = re.compile(r"\{(?P<column>[^{}|]*)(?:\|(?P<form>[^{}]*))?\}")
-MEASURED = ("graphtrack reproduce ", "perception evaluate ")
-"""Beginnings of commands that have ``--json``."""
+MEASURED = ("graphtrack reproduce ", "perception evaluate ", "pytest tests/")
+"""Beginnings of commands that write what they measure: with ``--json``, tests with ``--figures``."""
 DIGITS = 5
 """Significant digits that are kept of a measured number."""
 
@@ -125,8 +126,7 @@ def block(name: str) -> str:
     """
     if name.startswith("about "):
         about = stored(name.removeprefix("about "))
-        command = f" `{about['command']}`" if about["command"] else ""
-        return f"{about['setting']}{command}\n"
+        return f"{about['setting']} `{about['command']}`\n"
     spec = specs()[name]
     if "lines" in spec:
         lines = [spec["head"], *([line["label"], *map(quoted, line["cells"])] for line in spec["lines"])]
@@ -209,7 +209,7 @@ def marker(kind: str, name: str) -> str:
     '[setting baxter-weight: graphtrack reproduce baxter-weight]'
     """
     if kind == "setting":
-        return f"[setting {name}: {stored(name)['command'] or 'recorded by hand'}]"
+        return f"[setting {name}: {stored(name)['command']}]"
     spec = specs()[name]
     cells = [spec] if "data" in spec else [cell for line in spec["lines"] for cell in line["cells"]]
     files = dict.fromkeys(str(stored_at(stem).relative_to(ROOT)) for cell in cells for stem in stems(cell))
@@ -238,22 +238,31 @@ def sources() -> list[Spec]:
     return [*(spec for spec in tables if "data" in spec), *cells, *specs().get("quotes", [])]
 
 
-def measure(stem: str) -> bool:
-    """Run the command of a data file and store what it measured; False if it has no ``--json``."""
-    before = stored(stem)
-    command = before["command"]
+def measure(stem: str) -> None:
+    """Run the command of a data file and store what it measured.
+
+    Raises
+    ------
+    LookupError
+        If the command is none of `MEASURED`.
+    """
+    command = stored(stem)["command"]
     if not command.startswith(MEASURED):
-        return False
+        raise LookupError(f"{stem}.json: {command!r} writes no tables")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "tables.json"
-        words = command.split()
+        words = shlex.split(command)
+        option = "--figures" if words[0] == "pytest" else "--json"
         out = ["--out", folder] if words[0] == "graphtrack" else []
-        subprocess.run([sys.executable, "-m", *words, *out, "--json", str(path)], check=True)
-        after = json.loads(path.read_text(encoding="utf-8"))
+        subprocess.run([sys.executable, "-m", *words, *out, option, str(path)], check=True)
+        store(stem, json.loads(path.read_text(encoding="utf-8")))
+
+
+def store(stem: str, tables: Sequence[Record]) -> None:
+    """Store those of measured tables that pages show or quote, with the command and setting of before."""
     titles = shown_titles(stem)
-    tables = [rounded(table) for table in after if table["title"].startswith(titles)]
-    write(stem, {**before, "tables": tables})
-    return True
+    kept = [rounded(table) for table in tables if table["title"].startswith(titles)]
+    write(stem, {**stored(stem), "tables": kept})
 
 
 def shown_titles(stem: str) -> tuple[str, ...]:
@@ -294,9 +303,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.measure is not None:
         for stem in options.measure or sorted(path.stem for path in (RESULTS / "data").glob("*.json")):
-            if not measure(stem):
-                command = stored(stem)["command"] or "recorded by hand"
-                print(f"{stem}: not measured again, its command has no --json: {command}")
+            measure(stem)
     for page in pages():
         text = page.read_text(encoding="utf-8")
         if written(text) != text:

@@ -42,7 +42,7 @@ def reproduce(
     ----------
     name : baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-weight,
         baxter-network, chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty,
-        meetings, strangers, unseen-people, or all.
+        unseen-people, robustness, meetings, strangers, parties, forecasts, identities, or all.
     out : Folder for figures (PNG) and tables (JSON).
     quick : Few tracks, for a first look.
     data : Folder with mocap, salsa and caviar; by default ../shared/data, if it exists.

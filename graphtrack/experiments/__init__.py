@@ -11,6 +11,8 @@ from graphtrack.experiments.baxter_occlusion import EXPERIMENT as _baxter_occlus
 from graphtrack.experiments.baxter_simulated import EXPERIMENT as _baxter_simulated
 from graphtrack.experiments.baxter_statistics import EXPERIMENT as _baxter_statistics
 from graphtrack.experiments.baxter_weight import EXPERIMENT as _baxter_weight
+from graphtrack.experiments.behaviour.forecasts import EXPERIMENT as _forecasts
+from graphtrack.experiments.behaviour.parties import EXPERIMENT as _parties
 from graphtrack.experiments.chen_classes import EXPERIMENT as _chen_classes
 from graphtrack.experiments.chen_joint import EXPERIMENT as _chen_joint
 from graphtrack.experiments.context import EXPERIMENT as _context
@@ -18,6 +20,7 @@ from graphtrack.experiments.gaits import EXPERIMENT as _gaits
 from graphtrack.experiments.harness import Experiment, Reproduction, Settings, Table
 from graphtrack.experiments.honesty import EXPERIMENT as _honesty
 from graphtrack.experiments.meetings import EXPERIMENT as _meetings
+from graphtrack.experiments.robustness import EXPERIMENT as _robustness
 from graphtrack.experiments.strangers import EXPERIMENT as _strangers
 from graphtrack.experiments.unseen_people import EXPERIMENT as _unseen_people
 
@@ -29,7 +32,8 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
         for experiment in (
             *(_baxter_simulated, _baxter_caviar, _baxter_occlusion, _baxter_statistics, _baxter_weight),
             *(_chen_joint, _chen_classes),
-            *(_context, _gaits, _honesty, _meetings, _strangers, _unseen_people),
+            *(_context, _gaits, _honesty, _unseen_people, _robustness),
+            *(_meetings, _strangers, _parties, _forecasts),
         )
     }
 )

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.evaluation.chosen_filter import chosen_filter
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
-from graphtrack.experiments.chosen_filter import chosen_filter
 from graphtrack.experiments.harness import (
     MOCAP,
     SALSA,

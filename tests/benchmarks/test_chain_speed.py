@@ -29,6 +29,7 @@ from graphtrack.tracks.track import Track, TrackSet
 pytestmark = pytest.mark.benchmark
 TRACKS, STEPS, DT, ROUNDS = 1000, 200, 0.1, 7
 Record = Callable[[str, float], None]
+Figures = Callable[..., None]
 Jacobians = list[np.ndarray] | None
 
 
@@ -57,6 +58,7 @@ def seconds(*runs: Callable[[], object], rounds: int = ROUNDS) -> np.ndarray:
 
 def race(
     record: Record,
+    figures: Figures,
     name: str,
     mine: tuple[Callable[[], object], int],
     theirs: tuple[Callable[[], object], int],
@@ -71,6 +73,8 @@ def race(
     print(f"\n{name}: {elapsed[0]:,.0f} and {elapsed[1]:,.0f} person-frames a second, {ratio:.2f} times;")
     print(f"in processor time {of_processors:.2f} times{'' if idle else ' (the machine is busy)'}")
     record(f"{name}, processor time", of_processors)
+    row = {"race": name, "person-frames a second": float(elapsed[0]), "the peer's": float(elapsed[1])}
+    figures("Throughput", {**row, "ratio": float(ratio), "ratio, processor time": float(of_processors)})
     assert max(ratio, of_processors) >= least or not idle
 
 
@@ -93,11 +97,11 @@ def simdkalman_run(tracks: list[Track]) -> Callable[[], object]:
     ],
 )
 def test_against_the_linear_smoother_of_simdkalman(
-    preset: str, constants: str, name: str, least: float, record: Record
+    preset: str, constants: str, name: str, least: float, record: Record, figures: Figures
 ) -> None:
     tracks, model, frames = walks(TRACKS), Model(preset), TRACKS * STEPS
     mine = (lambda: ours(tracks, model, constants)), frames
-    race(record, name, mine, (simdkalman_run(tracks), frames), least)
+    race(record, figures, name, mine, (simdkalman_run(tracks), frames), least)
 
 
 def filterpy_run(tracks: list[Track]) -> None:
@@ -109,10 +113,10 @@ def filterpy_run(tracks: list[Track]) -> None:
         smoother.rts_smoother(means, covariances)
 
 
-def test_positions_against_filterpy(record: Record) -> None:
+def test_positions_against_filterpy(record: Record, figures: Figures) -> None:
     tracks, model, few = walks(TRACKS), Model("position"), walks(5)
     mine, theirs = (lambda: ours(tracks, model), TRACKS * STEPS), (lambda: filterpy_run(few), 5 * STEPS)
-    race(record, "position / FilterPy", mine, theirs, 90.0, rounds=3)
+    race(record, figures, "position / FilterPy", mine, theirs, 90.0, rounds=3)
 
 
 def optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
@@ -131,13 +135,13 @@ def graph_of(track: Track, model: Model) -> tuple[gtsam.NonlinearFactorGraph, gt
     return build_graph(chain(track), model, initial_states(track, model))
 
 
-def test_against_gtsam_with_native_factors(record: Record) -> None:
+def test_against_gtsam_with_native_factors(record: Record, figures: Figures) -> None:
     """On the preset whose factors are all native: no callback into Python, and building the graph is free."""
     tracks, model = walks(TRACKS), Model("separate")
     graphs = [graph_of(track, model) for track in walks(5)]
     theirs = (lambda: [optimise(*graph) for graph in graphs]), 5 * STEPS
     mine = (lambda: ours(tracks, model)), TRACKS * STEPS
-    race(record, "separate / GTSAM, native factors", mine, theirs, 25.0, rounds=3)
+    race(record, figures, "separate / GTSAM, native factors", mine, theirs, 25.0, rounds=3)
 
 
 def naive_von_mises(first: int, second: int | float, kappa: float) -> gtsam.CustomFactor:
@@ -196,7 +200,7 @@ def naive_graph(track: Track, model: Model) -> tuple[gtsam.NonlinearFactorGraph,
     return graph, values
 
 
-def test_against_a_graph_of_python_factors(record: Record) -> None:
+def test_against_a_graph_of_python_factors(record: Record, figures: Figures) -> None:
     tracks, model, (track,) = walks(TRACKS), Model("joint"), walks(1)
     graph, values = naive_graph(track, model)
     found, expected = optimise(graph, values), smooth_track(track, model).track
@@ -204,7 +208,7 @@ def test_against_a_graph_of_python_factors(record: Record) -> None:
     places = np.array([found.atPoint2(step.position_key) for step in chain(track)])
     np.testing.assert_allclose(places, expected.position, atol=1e-3)
     mine, theirs = (lambda: ours(tracks, model), TRACKS * STEPS), (lambda: optimise(graph, values), STEPS)
-    race(record, "joint / GTSAM, Python factors", mine, theirs, 500.0, rounds=3)
+    race(record, figures, "joint / GTSAM, Python factors", mine, theirs, 500.0, rounds=3)
 
 
 def test_cost_grows_with_the_frames_and_no_faster(record: Record) -> None:

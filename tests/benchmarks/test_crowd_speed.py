@@ -31,16 +31,26 @@ def milliseconds(*steps: Callable[[float, np.ndarray], object]) -> list[float]:
     return np.median(spent[FIRST:], axis=0).tolist()  # type: ignore[no-any-return]
 
 
-def test_a_frame_of_a_crowd_beside_a_plain_tracker(record: Callable[[str, float], None]) -> None:
+def show(figures: Callable[..., None], parts: dict[str, float]) -> None:
+    """Print and record the milliseconds of a frame by its part."""
+    print("\nms of a frame:", ", ".join(f"{name} {value:.1f}" for name, value in parts.items()))
+    for name, value in parts.items():
+        figures("Time of a frame of 100 people", {"part": name, "median (ms)": value})
+
+
+def test_a_frame_of_a_crowd_beside_a_plain_tracker(
+    record: Callable[[str, float], None], figures: Callable[..., None]
+) -> None:
     alone, tracker = OnlineAssociation(), gt.OnlineTracker()
     own, whole, peer = milliseconds(alone.update, tracker.update, HungarianTracker().step)
-    print(f"\nms of a frame: association {own:.1f}, tracker with full {whole:.1f}, plain {peer:.1f}")
+    show(figures, {"association": own, "tracker": whole, "Kalman and Hungarian": peer})
     record("frame of 100 people, online association / Kalman and Hungarian, processor time", own / peer)
-    record("frame of 100 people, online tracker full / Kalman and Hungarian, processor time", whole / peer)
+    record("frame of 100 people, online tracker / Kalman and Hungarian, processor time", whole / peer)
 
 
 def test_groups_looks_and_forecasts_of_a_crowd_beside_a_plain_tracker(
     record: Callable[[str, float], None],
+    figures: Callable[..., None],
 ) -> None:
     """All of `graphtrack track - --groups --attention --forecast 2` but for reading and writing rows."""
     tracker, groups, looks = gt.OnlineTracker(), gt.OnlineGroups(), gt.OnlineAttention()
@@ -52,7 +62,7 @@ def test_groups_looks_and_forecasts_of_a_crowd_beside_a_plain_tracker(
         lambda t, seen: tracker.forecast(2.0, 0.4),
     )
     whole, *own, peer = milliseconds(*steps, HungarianTracker().step)
-    print(f"\nms: tracker {whole:.1f}, groups, attention, forecast {np.round(own, 1)}, plain {peer:.1f}")
+    show(figures, dict(zip(("groups", "attention", "forecasts 2 s ahead"), own, strict=True)))
     name = "frame of 100 people, groups, attention, forecast /"
     record(f"{name} Kalman and Hungarian, processor time", sum(own) / peer)
-    record(f"{name} tracker full, processor time", sum(own) / whole)
+    record(f"{name} tracker, processor time", sum(own) / whole)

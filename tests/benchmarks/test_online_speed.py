@@ -1,7 +1,7 @@
 """Online speed of the engines: ratios of processor time within one run."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Literal
 
 import gtsam
@@ -18,6 +18,7 @@ from graphtrack.model.observation import Step, chain, observations
 pytestmark = pytest.mark.benchmark
 LAG = 2.0
 Record = Callable[[str, float], None]
+Figures = Callable[..., None]
 
 
 def took_in(smoother: OnlineSmoother, observation: Observation) -> None:
@@ -55,13 +56,25 @@ class GtsamFixedLag:
         return self.smoother.getISAM2().jointMarginalCovariance(keys).fullMatrix()
 
 
-def show(rows: Iterable[tuple[str, float]]) -> None:
-    print()
-    for name, value in rows:
-        print(f"{name:55s}{value:8.3f}")
+def show(
+    figures: Figures,
+    people: str,
+    engine: str,
+    median: float,
+    last: float | None = None,
+    *,
+    time: str = "processor",
+) -> None:
+    """Print and record milliseconds of a step: the median, and the 99th percentile where it is known."""
+    print(
+        f"\n{people}, {engine}: {median:.3f} ms ({time})",
+        "" if last is None else f"99th percentile {last:.3f}",
+    )
+    row = {"people": people, "engine": engine, "time": time, "median (ms)": float(median)}
+    figures("Time of a step", {**row, "99th percentile (ms)": None if last is None else float(last)})
 
 
-def test_a_step_of_the_chain_is_a_fraction_of_gtsams(record: Record) -> None:
+def test_a_step_of_the_chain_is_a_fraction_of_gtsams(record: Record, figures: Figures) -> None:
     """At 25 frames a second, 50 in the window, with the preset joint and its default constants."""
     seen = list(observations(walk(700, seed=1, dt=0.04)))
     ours, theirs = (
@@ -74,14 +87,15 @@ def test_a_step_of_the_chain_is_a_fraction_of_gtsams(record: Record) -> None:
         elapsed.append(1e3 * (time.perf_counter() - start))
     peer = float(np.median([milliseconds(lambda o=o: took_in(theirs, o)) for o in seen][100:]))
     mine, (median, late) = float(np.median(spent[100:])), np.quantile(elapsed[100:], (0.5, 0.99))
-    show([("median ms", median), ("99th percentile", late), ("GTSAM, median CPU ms", peer)])
+    show(figures, "one, 25 Hz", "chain", median, late, time="elapsed")
+    show(figures, "one, 25 Hz", "fixed-lag", peer)
     record("online step, GTSAM joint / chain joint, processor time", peer / mine)
     assert peer > 2.5 * mine
 
 
 @pytest.mark.parametrize("constants", ["default", "learn"])
 def test_no_step_of_twenty_people_takes_much_longer_than_others(
-    constants: Literal["default", "learn"],
+    constants: Literal["default", "learn"], figures: Figures
 ) -> None:
     """Processor time of this thread, garbage collection included."""
     people = simulate("joint", n_tracks=20, n_steps=1000, fps=25.0, rng=np.random.default_rng(1))
@@ -92,11 +106,11 @@ def test_no_step_of_twenty_people_takes_much_longer_than_others(
         OnlineSmoother.update_together(smoothers, seen)
         spent.append(1e3 * (time.thread_time() - start))
     median, late = np.quantile(spent[100:], (0.5, 0.99))
-    show([("20 people, median ms", median), ("99th percentile", late), ("ratio", late / median)])
+    show(figures, "twenty, 25 Hz", f"chain, constants {constants}", median, late)
     assert late < 3.0 * median
 
 
-def test_a_step_costs_less_than_with_gtsams_fixed_lag(record: Record) -> None:
+def test_a_step_costs_less_than_with_gtsams_fixed_lag(record: Record, figures: Figures) -> None:
     """At 10 frames a second, 20 in the window, all in turn; GTSAM's own with the factors of the model."""
     model, track = Model("joint"), walk(500, seed=1, noise=0.1, angle_kappa=2.0)
     isam2, fixed, chained = (
@@ -112,9 +126,10 @@ def test_a_step_costs_less_than_with_gtsams_fixed_lag(record: Record) -> None:
             for o, step in zip(observations(track), chain(track), strict=True)
         ]
     )[100:]
-    names = ("isam2, median CPU ms", "fixed lag", "chain", "GTSAM's fixed lag")
     mine, ours, compiled, peer = np.median(spent, axis=0)
-    show(zip(names, (mine, ours, compiled, peer), strict=True))
+    names = ("isam2", "fixed-lag", "chain", "GTSAM's fixed lag")
+    for name, value in zip(names, (mine, ours, compiled, peer), strict=True):
+        show(figures, "one, 10 Hz, in turn", name, value)
     record("online step, GTSAM's fixed lag / isam2 window, processor time", peer / mine)
     record("online step, fixed-lag / isam2 window, processor time", ours / mine)
     record("online step, isam2 window / chain, processor time", mine / compiled)
@@ -127,7 +142,9 @@ def test_a_step_costs_less_than_with_gtsams_fixed_lag(record: Record) -> None:
     [(LAG, 4_000, 1.3), (LAG, 20_000, 1.3), (None, 4_000, 10.0)],
     ids=["window", "window for long", "full history"],
 )
-def test_the_cost_of_a_late_step(lag: float | None, count: int, growth: float, record: Record) -> None:
+def test_the_cost_of_a_late_step(
+    lag: float | None, count: int, growth: float, record: Record, figures: Figures
+) -> None:
     """Old and young smoothers of both engines take the same observations in turn."""
     seen = list(observations(walk(count + 100, seed=1, noise=0.1, angle_kappa=2.0)))
     old, young = (OnlineSmoother("joint", engine="isam2", lag=lag) for _ in range(2))
@@ -142,8 +159,10 @@ def test_the_cost_of_a_late_step(lag: float | None, count: int, growth: float, r
             smoother = (old, young, fixed_old, fixed_young)[i]
             spent[k, i] = milliseconds(lambda s=smoother, o=o: took_in(s, o))
     late, at_200, fixed, fixed_at_200 = np.median(spent, axis=0)
-    show([(f"step {count:,}, median CPU ms", late), ("step 200", at_200), ("fixed lag", fixed)])
     mode = "full history" if lag is None else "window"
+    show(figures, f"one, 10 Hz, step {count:,}", f"isam2, {mode}", late)
+    show(figures, f"one, 10 Hz, step 200, with {count:,}", f"isam2, {mode}", at_200)
+    show(figures, f"one, 10 Hz, step {count:,}", f"fixed-lag, in turn with isam2, {mode}", fixed)
     record(f"isam2 {mode}, step {count:,} / step 200, processor time", late / at_200)
     record(f"online step {count:,}, fixed-lag / isam2 {mode}, processor time", fixed / late)
     # GTSAM visits its whole tree wherever a variable is linearised again: of a full history that is linear in

@@ -8,6 +8,7 @@ import innovation_filter
 import numpy as np
 import pytest
 
+from graphtrack.evaluation.chosen_filter import chosen_filter
 from graphtrack.experiments import Settings, baxter_weight, gaits, unseen_people
 from graphtrack.experiments.baxter_simulated import RIVAL, Gain, paired
 from graphtrack.experiments.chen_classes import (
@@ -32,7 +33,6 @@ from graphtrack.experiments.chen_joint import (
     fitted_models,
     most_likely_error,
 )
-from graphtrack.experiments.chosen_filter import chosen_filter
 from graphtrack.experiments.harness import ISAM2, at_limit, fit, halves, unit_of
 from graphtrack.geometry.angles import class_centres, difference, wrap
 from graphtrack.inference import smooth_track

@@ -1,10 +1,10 @@
 """Coverage of the 95 % intervals of parameters, on simulated people.
 
-One command prints the table of docs/results/model.md:
-``pytest tests/learning/test_coverage.py -m slow -s``
+``--figures FILE`` writes the table of docs/results/model.md.
 """
 
 from collections import defaultdict
+from collections.abc import Callable
 
 import pytest
 from scipy import stats
@@ -39,7 +39,8 @@ def test_intervals_hold_what_they_say_in_40_simulations(
     n_steps: int,
     true: Parameters,
     exempt: set[str],
-    capsys: pytest.CaptureFixture[str],
+    figures: Callable[..., None],
+    request: pytest.FixtureRequest,
 ) -> None:
     right: dict[str, list[bool]] = defaultdict(list)
     for seed in range(SIMULATIONS):
@@ -48,11 +49,13 @@ def test_intervals_hold_what_they_say_in_40_simulations(
         start = Model("joint", true) if preset == "joint" else Model(preset)
         for name, holds in inside(fit(people, start, hold_out=0.0), true).items():
             right[name].append(holds)
-    with capsys.disabled():
-        print(f"\n{preset}: {n_tracks} people, {n_steps} frames")
-        for name, holds in right.items():
-            print(f"| {preset} | `{name}` | {sum(holds)} of {len(holds)} |", flush=True)
+    people_of = request.node.callspec.id
+    for name, holds in right.items():
+        row = {"people": people_of, "parameter": name, "contain the truth": sum(holds), "of": len(holds)}
+        figures("Intervals that contain the parameter", row)
     every = [one for name, holds in right.items() for one in holds if name not in exempt]
+    row = {"people": people_of, "parameter": "all", "contain the truth": sum(every), "of": len(every)}
+    figures("Intervals that contain the parameter", row)
     # Parameters of one simulation are nearly independent of each other.
     low, high = stats.binom.ppf([0.001, 0.999], len(every), 0.95)
     assert low <= sum(every) <= high, f"{sum(every)} of {len(every)}"

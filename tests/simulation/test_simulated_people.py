@@ -1,6 +1,6 @@
 """Simulated people have the statistics of the estimator's model, at every frame rate."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def consistency(preset: str, fps: float, people: int, monkeypatch: pytest.Monkey
     found: dict[str, list[float]] = {}
     columns = {"position": slice(0, 2), "velocity": slice(2, 4), "body": slice(4, 5), "head": slice(5, 6)}
     # Simulated people have no gait oscillation and no persistent turns, unlike the defaults.
-    for i, track in enumerate(smooth(tracks, Model(preset))):
+    for i, track in enumerate(smooth(tracks, Model(preset), constants="default")):
         for name, column in columns.items():
             if name not in kept:
                 continue
@@ -98,8 +98,11 @@ def consistency(preset: str, fps: float, people: int, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("preset", ["position", "separate", "intentional", *COUPLED])
 @pytest.mark.parametrize("fps", [2.5, 5.0, 10.0, 30.0, 60.0])
 def test_estimates_of_simulated_people_know_their_errors(
-    preset: str, fps: float, monkeypatch: pytest.MonkeyPatch
+    preset: str, fps: float, monkeypatch: pytest.MonkeyPatch, figures: Callable[..., None]
 ) -> None:
     found = consistency(preset, fps, 60, monkeypatch)
-    print("|", preset, fps, *(f"{name} {value:.2f}" for name, value in found.items()))
-    assert all(0.9 < value < 1.1 for value in found.values()), found
+    for name, value in found.items():
+        figures("NEES of the smoother", {"model": preset, "Hz": fps, "quantity": name, "NEES": value})
+    # The variance of an angle is the inverse curvature at the mode; von Mises errors have wider tails.
+    greatest = {"position": 1.1, "velocity": 1.1, "body": 1.2, "head": 1.2}
+    assert all(0.9 < value < greatest[name] for name, value in found.items()), found

@@ -1,0 +1,1 @@
+"""Experiments on groups, gaze and forecasts."""
