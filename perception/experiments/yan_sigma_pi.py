@@ -12,6 +12,7 @@ from graphtrack.experiments.harness import Cell, Experiment, Panel, Parts, Setti
 from graphtrack.tracks.display import counted
 from perception.experiments.sigma_pi_runs import (
     FIXED,
+    GRAPH,
     MOTION,
     OURS,
     PRINTED,
@@ -112,6 +113,7 @@ def _parts(settings: Settings) -> Parts:
         "As in the paper: `--as-in-the-paper`, eq. 4 at the last positions, the mean of all particles, 5 % "
         "anywhere in each step, colour and shape learned in every frame."
     )
+    yield ("Cue-graph: the cues are factors of the graph, whose solution is the estimate; it draws nothing.")
     yield (
         "Yan et al. (2011) track a person or a mobile robot (§4) and has figures of the person "
         "only: the means are without the robot."
@@ -164,7 +166,7 @@ def difference_table(runs: Runs, rng: np.random.Generator) -> Table:
     persons = [one for kind, found in runs.items() if kind in PAPER for one in found]
     records: list[dict[str, Cell]] = []
     for name, found in ((ALL_PERSONS, persons), *runs.items()):
-        for method in (FIXED, PRINTED, MOTION):
+        for method in (FIXED, PRINTED, MOTION, GRAPH):
             apart = success(found, OURS) - success(found, method)
             one = bootstrap(lambda values: values.mean(axis=-1), apart, rng=rng)
             records.append(
