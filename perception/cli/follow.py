@@ -59,7 +59,7 @@ def follow(
     output : File to write: .csv.
     tracker : mixed-state, sigma-pi, cue-graph or color.
     init : The target's box in the first frame, in pixels; without it, mixed-state detects a head and
-        sigma-pi waits for motion.
+        sigma-pi and cue-graph wait for motion.
     guided : The graph predicts the next box for the tracker.
     particles : Number of particles.
     foot_at : Foot point, in box heights below the box's top; by default 1, or 7.3 for the box of a head with
@@ -69,8 +69,8 @@ def follow(
     pan_limit : Degrees: largest pan away from the camera in mixed-state; 90 if heads never turn their backs.
         By default 180, in the paper 90.
     as_in_the_paper : Use the published form of the tracker, without later improvements.
-    background : Image, or folder of images, without the person (furniture), for sigma-pi; can be given
-        several times.
+    background : Image, or folder of images, without the person (furniture), for sigma-pi and
+        cue-graph; can be given several times.
     """
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)

@@ -56,17 +56,17 @@ class CueParameters(Protocol):
 
     @property
     def views(self) -> bool:
-        """Whether the shape cue uses views, if a box is given."""
+        """True if the shape cue uses views where a box is given."""
         ...
 
     @property
     def redetect(self) -> bool:
-        """Whether a window at rest may be left for a moving region with the person's colours."""
+        """True if a window at rest may be left for a moving region with the person's colours."""
         ...
 
     @property
     def teach_always(self) -> bool:
-        """Whether colour and shape learn from every frame with the person found."""
+        """True if colour and shape learn from every frame with the person found."""
         ...
 
 

@@ -43,7 +43,8 @@ def frame(place: tuple[float, float] | None, seed: int) -> Image:
     image = ROOM.copy()
     if place is not None:
         left, top = round(place[0] - PERSON_SIZE[0] / 2), round(place[1] - PERSON_SIZE[1] / 2)
-        image[top : top + PERSON_SIZE[1], left : left + PERSON_SIZE[0]] = PERSON
+        shown = min(PERSON_SIZE[0], max(SIZE[0] - left, 0))
+        image[top : top + PERSON_SIZE[1], left : left + shown] = PERSON[:, :shown]
     return np.clip(image + np.random.default_rng(seed).normal(0, 2, image.shape), 0, 255).astype(np.uint8)
 
 
@@ -129,7 +130,7 @@ def test_the_place_of_a_cue_is_that_of_its_largest_activities() -> None:
     np.testing.assert_allclose(covariance, (1.0 / 64.0 + 0.05**2) * np.eye(2), atol=0.004)
 
 
-def test_who_moves_is_found_and_followed_while_at_rest_and_lost_when_gone() -> None:
+def test_who_moves_is_found_and_followed_while_at_rest() -> None:
     tracker = CueGraphTracker(GTSAM)
     path = [None] * 3 + [(20.0 + 3.0 * k, 75.0) for k in range(35)]
     path += [path[-1]] * 30
@@ -138,8 +139,16 @@ def test_who_moves_is_found_and_followed_while_at_rest_and_lost_when_gone() -> N
     for place, one in list(zip(path[1:], found, strict=True))[14:]:
         assert place is not None and one.found
         assert np.abs(one.centre - place).max() < 12.0 and (one.spread < 20.0).all()
+
+
+def test_a_person_who_walks_out_is_lost() -> None:
+    tracker = CueGraphTracker(GTSAM)
+    path = [(20.0 + 4.0 * k, 75.0) for k in range(52)]
+    tracker.start(frame(None, 0))
+    found = [tracker.step(frame(place, k)) for k, place in enumerate(path, 1)]
+    assert all(one.found for one in found[12:40])
     gone = [tracker.step(frame(None, k)) for k in range(100, 125)]
-    assert not gone[-1].found
+    assert not any(one.found for one in gone[15:])
 
 
 def test_from_a_box_estimates_are_in_the_pixels_of_large_frames() -> None:
