@@ -57,9 +57,9 @@ def follow(
     Parameters
     ----------
     output : File to write: .csv.
-    tracker : mixed-state, sigma-pi or color.
+    tracker : mixed-state, sigma-pi, cue-graph or color.
     init : The target's box in the first frame, in pixels; without it, mixed-state detects a head and
-        sigma-pi waits for motion.
+        sigma-pi and cue-graph wait for motion.
     guided : The graph predicts the next box for the tracker.
     particles : Number of particles.
     foot_at : Foot point, in box heights below the box's top; by default 1, or 7.3 for the box of a head with
@@ -69,8 +69,8 @@ def follow(
     pan_limit : Degrees: largest pan away from the camera in mixed-state; 90 if heads never turn their backs.
         By default 180, in the paper 90.
     as_in_the_paper : Use the published form of the tracker, without later improvements.
-    background : Image, or folder of images, without the person (furniture), for sigma-pi; can be given
-        several times.
+    background : Image, or folder of images, without the person (furniture), for sigma-pi and
+        cue-graph; can be given several times.
     """
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
@@ -139,7 +139,7 @@ def follow_target(
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
     images = [image for given in background for image in following.background_images(given)]
-    follower = make_tracker(tracker, particles, seed, parameters, background=images)
+    follower = make_tracker(tracker, particles, seed, parameters, background=images, rate=clock.rate)
     of_heads = tracker in OF_HEADS
     on_ground = following.box_cameras(ground, of_heads=of_heads, foot_at=foot_at, middle_at=middle_at)
 
@@ -186,8 +186,9 @@ def follow_target(
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
     """Return the initial box; a head is detected if the tracker needs one and no box is given."""
     from perception.following.run import find_head
+    from perception.trackers.registry import WITH_BACKGROUND
 
-    if box is not None or tracker == "sigma-pi":
+    if box is not None or tracker in WITH_BACKGROUND:
         return box
     if tracker == "mixed-state":
         return find_head(image)

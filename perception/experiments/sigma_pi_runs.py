@@ -18,7 +18,9 @@ from graphtrack.errors import InputError
 from graphtrack.experiments.harness import Progress
 from perception.detection.boxes import read_boxes
 from perception.images.pixels import Image, as_uint8
-from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
+from perception.synthetic.ceiling import ALL_KINDS, CEILING_RATE, ceiling_sequence
+from perception.trackers.cue_graph import CueGraphParameters, CueGraphTracker
+from perception.trackers.cue_tracker import CueTracker
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_network import SigmaPiParameters
 from perception.trackers.tracker import Box, BoxEstimate
@@ -64,27 +66,30 @@ def _alone() -> None:
 
 
 OURS, FIXED, MOTION = "sigma-pi", "motion not adaptive", "motion alone"
-PRINTED, LOCAL = "as in the paper", "local features"
-METHODS: Mapping[str, SigmaPiParameters] = {
+PRINTED, LOCAL, GRAPH = "as in the paper", "local features", "cue-graph"
+METHODS: Mapping[str, SigmaPiParameters | CueGraphParameters] = {
     OURS: SigmaPiParameters(),
     FIXED: SigmaPiParameters(fixed=("motion",)),
     PRINTED: SigmaPiParameters.of_the_paper(),
     MOTION: SigmaPiParameters(cues=("motion",)),
+    GRAPH: CueGraphParameters(),
 }
-"""The tracker; with a fixed reliability of motion (Yan et al. 2011, §2.2); fully as published; and with the
-motion cue only, the paper's comparison. No box is given."""
+"""The tracker; with a fixed reliability of motion (Yan et al. 2011, §2.2); fully as published; with the
+motion cue only, the paper's comparison; and the cues as factors of the graph. No box is given."""
 
-FROM_BOXES: Mapping[str, SigmaPiParameters] = {
+FROM_BOXES: Mapping[str, SigmaPiParameters | CueGraphParameters] = {
     OURS: METHODS[OURS],
     LOCAL: SigmaPiParameters(views=False),
     MOTION: METHODS[MOTION],
+    GRAPH: METHODS[GRAPH],
 }
-"""Methods with the first box: the tracker; without views; and motion only."""
+"""Methods with the first box: the tracker; without views; motion only; and the graph."""
 
 LEAST_LOST = 25
 """Least number of frames at the end of a run without a success, two seconds of a rendered sequence, for which
 the person counts as lost for good."""
 
+_CAVIAR_RATE = 25.0  # frames a second
 _LEAST_VISIBLE = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
 
@@ -235,6 +240,13 @@ class PersonJob:
         one = self.sequence
         return f"{one.name} {one.numbers[0]}–{one.numbers[-1]}, person {one.person}"
 
+    def tracker(self, parameters: SigmaPiParameters | CueGraphParameters) -> CueTracker:
+        """Make a tracker for it."""
+        if isinstance(parameters, CueGraphParameters):
+            rate = CEILING_RATE if isinstance(self.sequence, str) else _CAVIAR_RATE
+            return CueGraphTracker(parameters, rate=rate)
+        return SigmaPiTracker(parameters, seed=np.random.default_rng([*self.seed, 1]))
+
     def labelled(self) -> Iterator[tuple[Image, Box | None, bool]]:
         """Yield each image, the person's box in it, and whether the frame counts."""
         if isinstance(self.sequence, LabelledPerson):
@@ -257,10 +269,7 @@ def run_job(job: PersonJob) -> dict[str, Tally]:
     """Run every method on one sequence."""
     given = isinstance(job.sequence, LabelledPerson)
     methods = FROM_BOXES if given else METHODS
-    trackers = {
-        name: SigmaPiTracker(parameters, seed=np.random.default_rng([*job.seed, 1]))
-        for name, parameters in methods.items()
-    }
+    trackers = {name: job.tracker(parameters) for name, parameters in methods.items()}
     tallies = {name: Tally() for name in methods}
     for k, (image, box, counts) in enumerate(job.labelled()):
         for name, tracker in trackers.items():

@@ -162,6 +162,7 @@ def _moving(there: np.ndarray, position: FloatArray, sitting: FloatArray, fps: f
 
 
 SIZE = (320, 240)
+CEILING_RATE = 12.5  # frames a second
 _HEIGHT, _FOCAL = 2.9, 118.0
 """Metres of the camera above the floor; pixels a radian."""
 _DOOR = 0.55
@@ -258,7 +259,7 @@ def ceiling_sequence(
     rng: np.random.Generator,
     *,
     frames: int = 500,
-    fps: float = 12.5,
+    fps: float = CEILING_RATE,
     empty: int = 15,
     oversampling: int = 2,
 ) -> CeilingSequence:

@@ -10,6 +10,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from perception.images.pixels import Image
 from perception.trackers.color import ColourParameters, ColourTracker
+from perception.trackers.cue_graph import CueGraphParameters, CueGraphTracker
 from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_network import SigmaPiParameters
@@ -18,13 +19,16 @@ from perception.trackers.tracker import Tracker
 _KINDS: dict[str, tuple[Any, Any]] = {
     "mixed-state": (MixedStateTracker, MixedStateParameters),
     "sigma-pi": (SigmaPiTracker, SigmaPiParameters),
+    "cue-graph": (CueGraphTracker, CueGraphParameters),
     "color": (ColourTracker, ColourParameters),
 }
 TRACKERS = tuple(_KINDS)
 OF_HEADS = ("mixed-state",)
 """Trackers of a head's box."""
-WITH_BACKGROUND = ("sigma-pi",)
-"""Trackers that take background images."""
+WITH_BACKGROUND = ("sigma-pi", "cue-graph")
+"""Trackers of a person, which take background images and need no first box."""
+IN_THE_GRAPH = ("cue-graph",)
+"""Trackers without particles, and without a published form."""
 
 
 def parameters_of(name: str, *, as_in_the_paper: bool = False) -> Any:
@@ -33,10 +37,12 @@ def parameters_of(name: str, *, as_in_the_paper: bool = False) -> Any:
     Raises
     ------
     InputError
-        If there is no tracker of that name.
+        If there is no tracker of that name, or it has no published form.
     """
     if name not in _KINDS:
         raise InputError(f"tracker {name!r}", f"one of {', '.join(TRACKERS)}")
+    if as_in_the_paper and name in IN_THE_GRAPH:
+        raise InputError(f"{name} as in the paper", "sigma-pi, the published form with particles")
     kind = _KINDS[name][1]
     return kind.of_the_paper() if as_in_the_paper else kind()
 
@@ -48,6 +54,7 @@ def make_tracker(
     parameters: Any = None,
     *,
     background: Sequence[Image] = (),
+    rate: float = 25.0,
 ) -> Tracker:
     """Create a tracker.
 
@@ -56,17 +63,24 @@ def make_tracker(
     particles : overrides the number in the parameters
     parameters : of that tracker; by default `parameters_of`
     background : images without the target, for the trackers of `WITH_BACKGROUND`
+    rate : frames a second, for the trackers of `IN_THE_GRAPH`
 
     Raises
     ------
     InputError
-        For an unknown name, a tracker that takes no background, or less than two particles.
+        For an unknown name, a tracker that takes no background or no particles, or less than two particles.
     """
     parameters = parameters_of(name) if parameters is None else parameters
     if particles is not None and particles < 2:
         raise InputError(f"{particles} particles", "at least 2")
     if background and name not in WITH_BACKGROUND:
         raise InputError(f"images of the background for {name}", f"{', '.join(WITH_BACKGROUND)}, or none")
-    options = {"background": background} if background else {}
-    tracker: Tracker = _KINDS[name][0](parameters, particles=particles, seed=seed, **options)
+    options: dict[str, Any] = {"background": background} if background else {}
+    if name in IN_THE_GRAPH:
+        if particles is not None:
+            raise InputError(f"{particles} particles for {name}", "none")
+        options["rate"] = rate
+    else:
+        options |= {"particles": particles, "seed": seed}
+    tracker: Tracker = _KINDS[name][0](parameters, **options)
     return tracker
