@@ -129,7 +129,7 @@ def block(name: str) -> str:
         return f"{about['setting']} `{about['command']}`\n"
     spec = specs()[name]
     if "lines" in spec:
-        lines = [spec["head"], *([line["label"], *map(quoted, line["cells"])] for line in spec["lines"])]
+        lines = [spec["head"], *([line["label"], *map(_told, line["cells"])] for line in spec["lines"])]
     else:
         lines = _pivoted(spec, list(records(spec))) if "cells" in spec else _as_stored(spec)
     return "\n".join(_markdown(lines)) + "\n"
@@ -211,7 +211,7 @@ def marker(kind: str, name: str) -> str:
     if kind == "setting":
         return f"[setting {name}: {stored(name)['command']}]"
     spec = specs()[name]
-    cells = [spec] if "data" in spec else [cell for line in spec["lines"] for cell in line["cells"]]
+    cells = [spec] if "data" in spec else _measured_cells(spec)
     files = dict.fromkeys(str(stored_at(stem).relative_to(ROOT)) for cell in cells for stem in stems(cell))
     return f"[table {name}: {', '.join(files)}]"
 
@@ -231,10 +231,20 @@ def quoted(quote: Spec) -> str:
     return filled(quote["text"], record)
 
 
+def _told(cell: Spec | str) -> str:
+    """The text of a cell of a line: words as they are, or with the figures of a quotation."""
+    return cell if isinstance(cell, str) else quoted(cell)
+
+
+def _measured_cells(spec: Spec) -> list[Spec]:
+    """Those cells of a table's lines that are quotations, and not words alone."""
+    return [cell for line in spec.get("lines", []) for cell in line["cells"] if not isinstance(cell, str)]
+
+
 def sources() -> list[Spec]:
     """All that names a data file and the title of a table in it: tables, cells of tables and quotations."""
     tables = [spec for name, spec in specs().items() if name not in ("names", "quotes")]
-    cells = [cell for spec in tables for line in spec.get("lines", []) for cell in line["cells"]]
+    cells = [cell for spec in tables for cell in _measured_cells(spec)]
     return [*(spec for spec in tables if "data" in spec), *cells, *specs().get("quotes", [])]
 
 
