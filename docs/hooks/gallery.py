@@ -13,7 +13,7 @@ from mkdocs.structure.files import File, Files
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 TITLE = "Gallery"
-FRONT = {"03-filters": 1}
+FRONT: dict[str, int] = {}
 """Notebook → which of its pictures stands at the front, where it is not the first."""
 
 
