@@ -247,7 +247,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
         ),
     }
-    absent["likelihood.hidden_exponent"] = not any(
+    absent["likelihood.hidden_outliers"] = not any(
         name in track.inputs for track in tracks for name in HIDDEN.values()
     )
     for name, declared in _DECLARED.items():

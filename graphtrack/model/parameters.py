@@ -131,8 +131,8 @@ class LikelihoodParameters(_Group):
     body_scale, head_scale : multiple of the declared 1-σ of angles; κ is divided by its square
     outlier_probability : outlier share ε of observed angles
     class_outlier_probability : outlier share ε of class likelihoods
-    hidden_exponent : exponent c of the outlier share 1 − (1 − ε)·(1 − h^c) of class likelihoods of a body or
-        head of which a share h is hidden (inputs ``body_hidden``, ``head_hidden``)
+    hidden_outliers : outlier share of class likelihoods of a body or head that is hidden as a whole (inputs
+        ``body_hidden``, ``head_hidden``): 1 − (1 − ε)·(1 − share · hidden)
     """
 
     position_std: float = _number(0.1, 1e-6, 100.0, "m")
@@ -148,7 +148,7 @@ class LikelihoodParameters(_Group):
     head_scale: float = _number(1.0, 0.01, 100.0)
     outlier_probability: float = _share(0.0, 0.999)
     class_outlier_probability: float = _share(0.05, 0.999)
-    hidden_exponent: float = _number(4.0, 0.01, 100.0)
+    hidden_outliers: float = _share(0.0, 1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

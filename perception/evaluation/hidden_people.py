@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit, log_softmax
+from scipy.special import log_softmax
 
 from graphtrack.evaluation.metrics import bootstrap
 from graphtrack.experiments.harness import Cell, Progress, Table, interval_cells
@@ -196,27 +196,25 @@ def _errors(one: Classified, rng: np.random.Generator) -> Iterator[dict[str, Cel
 
 
 def fitted_shares(probability: FloatArray, hidden: FloatArray, *, grows: bool) -> tuple[float, float]:
-    """Return ε and the exponent c of the outlier share 1 − (1 − ε)·(1 − h^c) of maximum likelihood.
+    """Return ε and g of the outlier share 1 − (1 − ε)·(1 − g·h) of maximum likelihood.
 
     Parameters
     ----------
     probability : (n,) of the true class
     hidden : (n,) shares h
-    grows : whether c is fitted; else nothing grows with h (c = ∞)
+    grows : whether g is fitted; else it is 0
     """
 
-    def values_of(point: FloatArray) -> tuple[float, float]:
-        return float(expit(point[0])), float(np.exp(np.clip(point[1], -3.0, 5.0))) if grows else np.inf
-
     def loss(point: FloatArray) -> float:
-        return -float(_logs(probability, hidden, *values_of(point)).mean())
+        return -float(_logs(probability, hidden, point[0], point[1] if grows else 0.0).mean())
 
-    options = {"xatol": 1e-3, "fatol": 1e-7}
-    return values_of(minimize(loss, [-2.0, 1.0], method="Nelder-Mead", options=options).x)
+    bounds = [(0.0, 0.98), (0.0, 1.0)]
+    share, gain = minimize(loss, [0.1, 0.3], method="L-BFGS-B", bounds=bounds).x
+    return float(share), float(gain) if grows else 0.0
 
 
-def _logs(probability: FloatArray, hidden: FloatArray, share: float, exponent: float) -> FloatArray:
-    informed = (1.0 - share) * (1.0 - np.where(hidden < 1.0, hidden**exponent, float(exponent < np.inf)))
+def _logs(probability: FloatArray, hidden: FloatArray, share: float, gain: float) -> FloatArray:
+    informed = (1.0 - share) * (1.0 - gain * hidden)
     return np.asarray(np.log(informed * probability + (1.0 - informed) / len(CLASSES)))
 
 
@@ -226,14 +224,14 @@ def _gains(one: Classified, rng: np.random.Generator) -> Iterator[dict[str, Cell
     for k, name in enumerate(_NAMES):
         probability, hidden = one.probability[:, k], one.hidden[:, k]
         gain = np.empty(len(probability))
-        exponents, shares = [], []
+        weights, shares = [], []
         for mine in (half, ~half):
             logs = []
             for grows in (True, False):
-                share, exponent = fitted_shares(probability[~mine], hidden[~mine], grows=grows)
-                logs.append(_logs(probability[mine], hidden[mine], share, exponent))
+                share, weight = fitted_shares(probability[~mine], hidden[~mine], grows=grows)
+                logs.append(_logs(probability[mine], hidden[mine], share, weight))
                 if grows:
-                    exponents.append(exponent)
+                    weights.append(weight)
                     shares.append(share)
             gain[mine] = logs[0] - logs[1]
         some = hidden > EDGES[1]
@@ -245,6 +243,6 @@ def _gains(one: Classified, rng: np.random.Generator) -> Iterator[dict[str, Cell
             "hidden boxes": int(some.sum()),
             "people": len(set(units)),
             "ε": float(np.mean(shares)),
-            "exponent c": float(np.mean(exponents)),
+            "g": float(np.mean(weights)),
             **interval_cells("gain (nats a hidden box)", interval),
         }

@@ -149,9 +149,9 @@ def tables_of(settings: Settings, jobs: Sequence[PersonJob], results: Sequence[M
         "only: the totals are without the robot."
     )
     yield (
-        "Parameters were chosen on rendered sequences of other seeds, none on the real frames; that the first "
-        "form of the cue-graph lost people there who stand led to sequences with such people, on which it was "
-        "chosen again."
+        "Parameters were chosen on rendered sequences of other seeds, none on the real frames; that the "
+        "first form of the cue-graph lost people there who stand led to rendered ones with such people, on "
+        "which it was chosen again."
     )
     yield (
         "Real frames: begun with the first labelled box of each person, all labelled frames count. Local "

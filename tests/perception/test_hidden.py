@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.terms.orientation import less_hidden
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.observation.hidden import hidden_shares
 
+MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
 SIZE = (640, 480)
 ALONE = (100.0, 100.0, 40.0, 120.0)
 
@@ -50,13 +51,13 @@ def test_shares_are_shares_and_grow_with_each_further_person(boxes) -> None:  # 
     assert (more[:-1] >= found).all()
 
 
-@given(st.floats(0.0, 1.0), st.floats(0.1, 20.0), st.floats(0.001, 0.5))
-def test_a_hidden_share_is_an_outlier_share(share: float, exponent: float, outliers: float) -> None:
-    """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − h^c)."""
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.001, 0.5))
+def test_a_hidden_share_is_an_outlier_share(share: float, gain: float, outliers: float) -> None:
+    """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − g·h)."""
     classes = np.array([[0.7, 0.2, 0.05, 0.05]])
-    likelihood = LikelihoodParameters(hidden_exponent=exponent)
+    likelihood = LikelihoodParameters(hidden_outliers=gain)
     doubtful = less_hidden(classes, np.array([share]), likelihood)
-    total = 1.0 - (1.0 - outliers) * (1.0 - share**exponent)
+    total = 1.0 - (1.0 - outliers) * (1.0 - gain * share)
     np.testing.assert_allclose(
         (1.0 - outliers) * doubtful + outliers / 4.0, (1.0 - total) * classes + total / 4.0, atol=1e-12
     )
@@ -84,7 +85,7 @@ def test_hidden_frames_with_wrong_classes_harm_less_where_they_are_said(engine: 
             classes[15:35] = np.roll(classes[15:35], 3, axis=1)
             inputs = {"head_hidden": hidden} if known else {}
             tracks.append(replace(track, head_likelihood=classes, inputs=inputs))
-        estimates = gt.smooth(people.with_tracks(tracks), "joint", constants="default", engine=engine)
+        estimates = gt.smooth(people.with_tracks(tracks), MODEL, constants="default", engine=engine)
         off = [np.abs(of_heads(e, t)) for e, t in zip(estimates, observed, strict=True)]
         found.append(float(np.degrees(np.mean(off))))
     assert found[1] < 0.8 * found[0]

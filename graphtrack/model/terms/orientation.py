@@ -189,7 +189,7 @@ def _fields(name: Variable) -> tuple[Field, ...]:
 
 def _reads(name: Variable) -> tuple[str, ...]:
     own = f"likelihood.{name}_kappa", f"likelihood.{name}_scale"
-    doubts = "outlier_probability", "class_outlier_probability", "hidden_exponent"
+    doubts = "outlier_probability", "class_outlier_probability", "hidden_outliers"
     return (*own, *(f"likelihood.{doubt}" for doubt in doubts))
 
 
@@ -200,15 +200,15 @@ HIDDEN: Mapping[Orientation, str] = {"body": "body_hidden", "head": "head_hidden
 def less_hidden(classes: FloatArray, hidden: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
     """Return class likelihoods (n, k) with the doubt about a picture of which a share (n,) is hidden.
 
-    With probability share^c, c = ``hidden_exponent``, they say nothing: Chen et al. (2011, §5) name occlusion
-    as a cause of wrong poses. InputError for a share outside of 0…1.
+    With probability ``hidden_outliers`` times the share they say nothing: Chen et al. (2011, §5) name
+    occlusion as a cause of wrong poses. InputError for a share outside of 0…1.
     """
     known = hidden[np.isfinite(hidden)]
     if known.size and not (known.min() >= 0.0 and known.max() <= 1.0):
         raise InputError(f"a hidden share of {known[(known < 0) | (known > 1)][0]:g}", "a number from 0 to 1")
-    informed = 1.0 - np.nan_to_num(hidden) ** likelihood.hidden_exponent
-    if (informed == 1.0).all():
+    if likelihood.hidden_outliers == 0.0 or not known.any():
         return classes
+    informed = 1.0 - likelihood.hidden_outliers * np.nan_to_num(hidden)
     uniform = classes.sum(axis=1, keepdims=True) / classes.shape[1]
     return np.asarray(informed[:, None] * classes + (1.0 - informed)[:, None] * uniform)
 
