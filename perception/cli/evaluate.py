@@ -104,7 +104,7 @@ def _recorded(name: str, data: Path, heads: int, seed: int) -> Iterable[Table]:
         with progress_bar(len(sequences), "sequences") as advance:
             return [adapted_table(sequences, seed, advance)]
     if name == "hidden":
-        from perception.evaluation.hidden_people import lobby, street, tables
+        from perception.experiments.hidden_people import lobby, street, tables
 
         with progress_bar(None, "recordings") as advance:
             everybody = [street(town, seed, advance), lobby(data / "caviar", seed, advance)]
