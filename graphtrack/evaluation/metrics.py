@@ -157,24 +157,18 @@ def bootstrap(
     if not known.any():
         return Interval(float("nan"), float("nan"), float("nan"))
     value = float(statistic(*table))
-    if units is None:
-        n = table.shape[1]
-        drawn = statistic(*table[:, rng.integers(0, n, (RESAMPLES, n))]) if n >= FEWEST else None
-    else:
-        members: dict[Hashable, list[int]] = {}
-        for k, one in enumerate(np.flatnonzero(known).tolist()):
-            members.setdefault(units[one], []).append(k)
-        groups, n = [np.array(some) for some in members.values()], len(members)
-        draws = rng.integers(0, n, (RESAMPLES, n)) if n >= FEWEST else None
-        drawn = (
-            None
-            if draws is None
-            else np.array(
-                [statistic(*table[:, np.concatenate([groups[k] for k in draw])]) for draw in draws.tolist()]
-            )
-        )
-    if drawn is None:
+    groups: dict[Hashable, list[int]] = {}
+    for k, one in enumerate(np.flatnonzero(known).tolist()):
+        groups.setdefault(one if units is None else units[one], []).append(k)
+    if len(groups) < FEWEST:
         return Interval(value, float("nan"), float("nan"))
+    draws = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
+    if units is None:
+        drawn = statistic(*table[:, draws])
+    else:
+        members = [np.array(some) for some in groups.values()]
+        samples_of = (np.concatenate([members[k] for k in draw]) for draw in draws.tolist())
+        drawn = np.array([statistic(*table[:, some]) for some in samples_of])
     low, high = np.percentile(drawn, [2.5, 97.5])
     return Interval(value, float(low), float(high))
 

@@ -11,11 +11,11 @@ from graphtrack.experiments.baxter_occlusion import EXPERIMENT as _baxter_occlus
 from graphtrack.experiments.baxter_simulated import EXPERIMENT as _baxter_simulated
 from graphtrack.experiments.baxter_statistics import EXPERIMENT as _baxter_statistics
 from graphtrack.experiments.baxter_weight import EXPERIMENT as _baxter_weight
+from graphtrack.experiments.behaviour.context import EXPERIMENT as _context
 from graphtrack.experiments.behaviour.forecasts import EXPERIMENT as _forecasts
 from graphtrack.experiments.behaviour.parties import EXPERIMENT as _parties
 from graphtrack.experiments.chen_classes import EXPERIMENT as _chen_classes
 from graphtrack.experiments.chen_joint import EXPERIMENT as _chen_joint
-from graphtrack.experiments.context import EXPERIMENT as _context
 from graphtrack.experiments.gaits import EXPERIMENT as _gaits
 from graphtrack.experiments.harness import Experiment, Reproduction, Settings, Table
 from graphtrack.experiments.honesty import EXPERIMENT as _honesty

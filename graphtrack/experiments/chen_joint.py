@@ -316,7 +316,7 @@ PERSISTENCE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class Cohort:
     """Noisy people of one source: some to fit every method on, and others to judge."""
 
     name: str
@@ -334,7 +334,7 @@ class Case:
         return [unit_of(track) for track in self.judged]
 
 
-def cases(settings: Settings) -> list[Case]:
+def cases(settings: Settings) -> list[Cohort]:
     """People by source, observed as badly as Chen et al. observed theirs.
 
     Those who stand have classes whose errors last for about a second, as a classifier's on a video do; the
@@ -342,23 +342,23 @@ def cases(settings: Settings) -> list[Case]:
     """
     count = settings.few(40, 6)
     sizes = settings.few(8, 2), settings.few(16, 3)
-    found = [Case(STANDING, *(_classified(settings, people, k) for k, people in enumerate(sizes)))]
+    found = [Cohort(STANDING, *(_classified(settings, people, k) for k, people in enumerate(sizes)))]
     clips = settings.tracks(*MOCAP)
     if clips is not None:
         for name, patterns in ((WALKERS, (WALKING,)), (ODD, ASKANCE)):
             fitted, judged = halves(clips.select(*patterns).map(thinned))
-            found.append(Case(name, evenly(fitted, settings.few(12, 2), 2.0), evenly(judged, count, 2.0)))
+            found.append(Cohort(name, evenly(fitted, settings.few(12, 2), 2.0), evenly(judged, count, 2.0)))
     salsa = settings.tracks(*SALSA)
     if salsa is not None:
         steps = settings.few(250, 30)
         fitted, judged = halves(salsa.map(lambda track: track[:steps]))
         some = fitted.with_tracks(fitted.tracks[:6]).map(lambda track: track[: steps // 3])
-        found.append(Case(PARTY, some, judged))
+        found.append(Cohort(PARTY, some, judged))
     standing, *recorded = found
     return [
         standing,
         *(
-            Case(one.name, *(_noisy(tracks, settings.rng(2, k, i)) for i, tracks in enumerate(one.parts)))
+            Cohort(one.name, *(_noisy(tracks, settings.rng(2, k, i)) for i, tracks in enumerate(one.parts)))
             for k, one in enumerate(recorded)
         ),
     ]
@@ -390,10 +390,10 @@ def _observation_errors(track: Track) -> list[float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class FittedErrors:
     """The errors of a case's judged people, with default parameters and with those fitted for each method."""
 
-    case: Case
+    case: Cohort
     scores: Scores
     models: Models
     fitted: Errors
@@ -414,7 +414,7 @@ def _parts(settings: Settings) -> Parts:
         best = fitted_models(case.training, METHODS, evaluations, settings.progress)
         fitted = estimated_errors(case.judged, METHODS, best, settings.progress)
         scores = Scores(case.name, len(case.judged), observed | estimates)
-        found.append(Outcome(case, scores, best, fitted))
+        found.append(FittedErrors(case, scores, best, fitted))
     rng = settings.rng(99)
     yield Table.of(
         "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint",
@@ -455,7 +455,7 @@ def _parts(settings: Settings) -> Parts:
         yield "No recordings were found: only simulated people."
 
 
-def _detail(found: Sequence[Outcome], rng: np.random.Generator) -> Iterator[Row]:
+def _detail(found: Sequence[FittedErrors], rng: np.random.Generator) -> Iterator[Row]:
     for one, angle, (method, (group, _)) in product(found, ANGLES, METHODS.items()):
         separate, body, joint = (
             one.scores.errors.get((preset, method, angle), NOT_RUN) for preset in PRESETS
@@ -483,7 +483,7 @@ def _detail(found: Sequence[Outcome], rng: np.random.Generator) -> Iterator[Row]
         }
 
 
-def _parameters(found: Sequence[Outcome]) -> Iterator[Row]:
+def _parameters(found: Sequence[FittedErrors]) -> Iterator[Row]:
     """The parameters fitted for each method, with the package's own first, and those at a search's limit."""
 
     def row(data: str, preset: str, method: str, model: Model) -> Row:
@@ -506,7 +506,7 @@ def _parameters(found: Sequence[Outcome]) -> Iterator[Row]:
                 yield row(one.case.name, preset, method, model)
 
 
-def _pairs(found: Sequence[Outcome], rng: np.random.Generator) -> Iterator[Row]:
+def _pairs(found: Sequence[FittedErrors], rng: np.random.Generator) -> Iterator[Row]:
     """Paired differences of `PAIRS` with the parameters fitted for each method."""
     for one, preset, angle, (first, second) in product(found, FITTED, ANGLES, PAIRS):
         mine, other = (one.fitted[preset, method, angle] for method in (first, second))
@@ -519,7 +519,7 @@ def _pairs(found: Sequence[Outcome], rng: np.random.Generator) -> Iterator[Row]:
         }
 
 
-def _published(found: Sequence[Outcome]) -> Iterator[Row]:
+def _published(found: Sequence[FittedErrors]) -> Iterator[Row]:
     """Chen et al.'s Table 2 next to ours with default parameters and with those of each method."""
     for one, (method, (group, _)) in product(found, METHODS.items()):
         row: dict[str, Cell] = {"ours: data": one.case.name, "ours: method": f"{method} ({group})"}
@@ -532,7 +532,7 @@ def _published(found: Sequence[Outcome]) -> Iterator[Row]:
         yield row
 
 
-def _panels(found: Sequence[Outcome], rng: np.random.Generator) -> list[Panel]:
+def _panels(found: Sequence[FittedErrors], rng: np.random.Generator) -> list[Panel]:
     panels, order = [], ("observation", *PRESETS)
     for (i, angle), one in product(enumerate(ANGLES), found):
         published = {"method": "Chen et al. 2011", "low": None, "high": None}

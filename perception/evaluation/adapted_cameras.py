@@ -90,13 +90,13 @@ def _sequence(path: Path, folder: Path) -> LobbySequence:
     return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
-def _ignore(*values: object) -> None:
+def ignored(*values: object) -> None:
     """Suppress reports of progress and of empty boxes."""
 
 
 def no_progress(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
     """Show no progress of decoding and fitting."""
-    return nullcontext(_ignore)
+    return nullcontext(ignored)
 
 
 def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
@@ -106,7 +106,7 @@ def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress)
     for one in sequences:
         training = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
-        found = adapted(training, lobby_camera(), package, rng, no_progress, _ignore)
+        found = adapted(training, lobby_camera(), package, rng, no_progress, ignored)
         rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
@@ -134,7 +134,7 @@ def _sequence_errors(
             of_frame = [item for item in of_frame if item.frame == frame.number]
             if frame.image is None or not of_frame:
                 continue
-            for people_observed in observe_frame(frame.image, frame.number, of_frame, looking, _ignore):
+            for people_observed in observe_frame(frame.image, frame.number, of_frame, looking, ignored):
                 key = people_observed.frame, people_observed.track_id
                 everybody += [people_observed] if key in walking else []
                 body[key] = float(CLASSES.mean_pan(people_observed.body[None])[0])
@@ -166,7 +166,7 @@ def _smoothed(
     camera = lobby_camera()
     tracks = to_tracks(by_frame(people_observed), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
-    for track in estimated(tracks, camera, "smoother", _ignore, models.graph)[0]:
+    for track in estimated(tracks, camera, "smoother", ignored, models.graph)[0]:
         if track.body is None:
             continue
         angles = camera.image_angle(track.body, track.position)
@@ -207,8 +207,8 @@ def observed_by_other_people(
     camera = read_calibration(folder / "calibration.ci")
     frames = FrameSource.open(folder / "frames_001_150" / "img1")
     people = read_boxes(folder / "frames_001_150" / "det.txt")
-    appearance, usable = descriptors_of_people(frames, people, _ignore)
-    found = patches_in(frames, people, _ignore)
+    appearance, usable = descriptors_of_people(frames, people, ignored)
+    found = patches_in(frames, people, ignored)
     labels = walking_labels(people, appearance, camera, RATE)
     rng = np.random.default_rng(seed)
     fold = folds_of(labels.person, rng, PARTS)
@@ -246,7 +246,7 @@ def methods_table(folder: Path, seed: int, progress: Progress) -> Table:
     for method in METHODS:
         for news in (None, share):
             graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
-            found, _ = estimated(tracks, camera, method, _ignore, graph)
+            found, _ = estimated(tracks, camera, method, ignored, graph)
             known = score(found, truth, metres=_MATCH).together
             rows.append(
                 {

@@ -24,7 +24,7 @@ from perception.adaptation.directions import CLASSES
 from perception.adaptation.labels import patches_in, walking_labels
 from perception.adaptation.learning import PackageModels, Recording, adapted
 from perception.detection.boxes import PersonBox
-from perception.evaluation.adapted_cameras import RATE, no_progress, sequences_of
+from perception.evaluation.adapted_cameras import RATE, ignored, no_progress, sequences_of
 from perception.experiments.street_heads import labelled_runs
 from perception.ground.upright import LeaningView
 from perception.observation.hidden import hidden_shares
@@ -82,7 +82,12 @@ def street(folder: Path, seed: int, progress: Progress) -> Classified:
     recordings = [
         Recording(frames, [item for item in people if item.track_id in part], RATE) for part in parts
     ]
-    return _classified("Town Centre", recordings, people, camera, seed, progress)
+    found = []
+    for one in recordings:
+        rest = [other for other in recordings if other is not one]
+        found.append(_of(one, rest, people, camera, seed))
+        progress(1)
+    return _joined("Town Centre", found)
 
 
 def lobby(folder: Path, seed: int, progress: Progress) -> Classified:
@@ -94,22 +99,6 @@ def lobby(folder: Path, seed: int, progress: Progress) -> Classified:
         found.append(_of(one.recording, rest, one.recording.people, lobby_camera(), seed, offset=1000 * k))
         progress(1)
     return _joined("CAVIAR's lobby", found)
-
-
-def _classified(
-    name: str,
-    recordings: Sequence[Recording],
-    everybody: Sequence[PersonBox],
-    camera: GroundCamera,
-    seed: int,
-    progress: Progress,
-) -> Classified:
-    found = []
-    for one in recordings:
-        rest = [other for other in recordings if other is not one]
-        found.append(_of(one, rest, everybody, camera, seed))
-        progress(1)
-    return _joined(name, found)
 
 
 def _joined(name: str, parts: Sequence[Classified]) -> Classified:
@@ -134,13 +123,13 @@ def _of(
     offset : of the numbers of people
     """
     package, rng = PackageModels.load(), np.random.default_rng(seed)
-    models = adapted(training, camera, package, rng, no_progress, _ignored).models
+    models = adapted(training, camera, package, rng, no_progress, ignored).models
     size = judged.frames.size()
     view = LeaningView.of(camera, size)
     labels = walking_labels(judged.people, None, camera, judged.clock, view=view)
     chosen = [judged.people[k] for k in labels.box.tolist()]
     wanted = {item.frame for item in chosen}
-    patches = patches_in(judged.frames.where(wanted.__contains__), chosen, _ignored, view)
+    patches = patches_in(judged.frames.where(wanted.__contains__), chosen, ignored, view)
     rows = sorted(patches)
     answers = models.look_at([patches[k] for k in rows], [chosen[k].box for k in rows])
     of_frame: dict[int, list[PersonBox]] = {}
@@ -158,10 +147,6 @@ def _of(
         np.array([share[chosen[k].frame, chosen[k].track_id] for k in rows]),
         labels.person[rows] + offset,
     )
-
-
-def _ignored(*values: object) -> None:
-    """Suppress reports of empty boxes."""
 
 
 def tables(found: Sequence[Classified], rng: np.random.Generator) -> tuple[Table, Table]:

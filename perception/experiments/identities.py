@@ -86,7 +86,7 @@ Row: TypeAlias = dict[str, Cell]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class JudgedScene:
     """Detections without identities, the true people, and what is done to them.
 
     Attributes
@@ -124,15 +124,15 @@ def _first(truth: TrackSet, last: int) -> TrackSet:
     return truth.with_tracks(track[track.frame <= last] for track in truth if track.frame[0] <= last)
 
 
-def shortened(scene: Scene, settings: Settings) -> Scene:
+def shortened(scene: JudgedScene, settings: Settings) -> JudgedScene:
     """Return the first frames of a scene where the experiment runs quickly, else all of it."""
     if not settings.quick:
         return scene
     detections = until(scene.detections, FEW_FRAMES)
-    return Scene(scene.name, detections, _first(scene.truth, int(detections.frame.max())))
+    return JudgedScene(scene.name, detections, _first(scene.truth, int(detections.frame.max())))
 
 
-def compared(scene: Scene, names: Sequence[str], *, fill: bool = False) -> Iterator[Row]:
+def compared(scene: JudgedScene, names: Sequence[str], *, fill: bool = False) -> Iterator[Row]:
     """Yield a row for each tracker: its figures and seconds; filled: its gaps are smoothed offline."""
     found = compare_trackers(scene.detections, scene.truth, names, metres=MATCH, fill=fill)
     for one in found.results:
@@ -143,12 +143,12 @@ def compared(scene: Scene, names: Sequence[str], *, fill: bool = False) -> Itera
 
 def simulated_detections(
     name: str, people: TrackSet, faults: Detector, every: float | None, rng: np.random.Generator
-) -> Scene:
+) -> JudgedScene:
     """Return detections of people with known positions, as ``graphtrack add-noise --anonymous`` does."""
     found = detect(people, faults, every=every, position_std=POSITION_STD, rng=rng)
     table = found.anonymous(rng)
     position = np.column_stack([table["x"], table["y"]])
-    return Scene(name, Detections(table["frame"], table["t"], position), found.truth)
+    return JudgedScene(name, Detections(table["frame"], table["t"], position), found.truth)
 
 
 def over_seeds(rows: Sequence[Sequence[Row]]) -> Iterator[Row]:
@@ -190,7 +190,7 @@ def fitted_homography(path: Path) -> GroundCamera:
     return GroundCamera.from_homography(homography)
 
 
-def _stadtmitte(settings: Settings) -> Scene | None:
+def _stadtmitte(settings: Settings) -> JudgedScene | None:
     found = settings.recording("tud", "TUD-Stadtmitte", "test.txt")
     truth = settings.recording("tud", "TUD-Stadtmitte", "gt.txt")
     if found is None or truth is None:
@@ -199,7 +199,7 @@ def _stadtmitte(settings: Settings) -> Scene | None:
     options = ReadOptions(camera=camera, fps=STADTMITTE_FPS, associate="always")
     detections, _ = read_detections(found, None, options)
     people = read_identified(truth, camera=camera, fps=STADTMITTE_FPS)
-    return shortened(Scene("TUD-Stadtmitte", detections, people), settings)
+    return shortened(JudgedScene("TUD-Stadtmitte", detections, people), settings)
 
 
 def _more(settings: Settings) -> Iterator[Row]:
@@ -267,7 +267,7 @@ def _smoothed_file(town: TownCentre) -> Row:
 def _minute(town: TownCentre, settings: Settings) -> Iterator[Row]:
     """Yield rows of every input and method; progress is reported after each input."""
     detections, _ = read_detections(town.folder / "det.txt", None, ReadOptions(camera=town.camera, fps=RATE))
-    scene = shortened(Scene("Town Centre", detections, town.truth), settings)
+    scene = shortened(JudgedScene("Town Centre", detections, town.truth), settings)
     named: Row = {"input": "public detections", "evidence": "positions"}
     for row in compared(scene, methods()):
         yield {**named, **{name: row[name] for name in ("method", *FIGURES)}}

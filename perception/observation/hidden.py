@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 
 HEAD_HEIGHT, HEAD_WIDTH, HEAD_MIDDLE = 0.13, 0.10, 0.065
 """Of a head and its middle below the top of the box, in heights of the person's box."""
@@ -48,7 +48,7 @@ def hidden_shares(boxes: Sequence[tuple[float, float, float, float]], size: tupl
 
 
 def _hidden(
-    areas: FloatArray, grid: tuple[int, int], boxes: FloatArray, nearer: FloatArray, size: tuple[int, int]
+    areas: FloatArray, grid: tuple[int, int], boxes: FloatArray, nearer: BoolArray, size: tuple[int, int]
 ) -> FloatArray:
     """Return the shares (n,) of areas (n, 4) that are in a nearer box or beyond the border.
 
@@ -62,5 +62,5 @@ def _hidden(
     outside = ((points < 0.0) | (points > np.asarray(size, float))).any(axis=2)
     low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
     inside = ((points[:, :, None] >= low) & (points[:, :, None] <= high)).all(axis=3)
-    covered = (inside & nearer[:, None, :].astype(bool)).any(axis=2)
+    covered = (inside & nearer[:, None, :]).any(axis=2)
     return np.asarray((outside | covered).mean(axis=1))

@@ -23,8 +23,8 @@ from graphtrack.experiments.chen_joint import (
     ANGLES,
     FITTED,
     PAIRS,
-    Case,
-    Outcome,
+    Cohort,
+    FittedErrors,
     Scores,
     _pairs,
     _parameters,
@@ -215,9 +215,9 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     assert found["joint-body", "graph"].parameters.value(of_head) == Model("joint-body").parameters.value(
         of_head
     )
-    case = Case("people", tracks, tracks)
+    case = Cohort("people", tracks, tracks)
     scores = Scores("people", 2, {})
-    rows = list(_parameters([Outcome(case, scores, found, {})]))
+    rows = list(_parameters([FittedErrors(case, scores, found, {})]))
     assert rows[0]["method"] == "default" and len(rows) == 1 + 2 * len(FITTED)
     assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
 
@@ -239,8 +239,8 @@ def test_differences_between_methods_are_of_the_same_people() -> None:
         for angle in ANGLES
     }
     people = simulate("joint", n_tracks=30, n_steps=2, rng=rng)
-    case = Case("people", people, people)
-    rows = list(_pairs([Outcome(case, Scores("people", 30, {}), {}, fitted)], rng))
+    case = Cohort("people", people, people)
+    rows = list(_pairs([FittedErrors(case, Scores("people", 30, {}), {}, fitted)], rng))
     assert len(rows) == len(FITTED) * len(ANGLES) * len(PAIRS)
     for row in rows:
         first, second = str(row["difference"]).split(" − ")

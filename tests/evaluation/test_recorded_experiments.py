@@ -141,7 +141,7 @@ def test_a_homography_is_found_from_boxes_and_their_positions(tmp_path: Path) ->
 
 def test_the_first_frames_of_a_scene_have_their_detections_and_people() -> None:
     known = synthetic_scenes(seconds=10.0)[0]
-    scene = identities.Scene("crowd", known.detections, known.truth)
+    scene = identities.JudgedScene("crowd", known.detections, known.truth)
     few = identities.shortened(scene, SETTINGS)
     last = few.detections.frame.max()
     assert len(np.unique(few.detections.frame)) == identities.FEW_FRAMES

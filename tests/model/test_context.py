@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 import graphtrack as gt
 from graphtrack.baselines.particle_model import prepare
-from graphtrack.experiments import Settings, context
+from graphtrack.experiments import Settings
+from graphtrack.experiments.behaviour import context
 from graphtrack.geometry.angles import difference
 from graphtrack.model.terms.couplings import BODY_FREE, HEAD_FREE, held
 from graphtrack.simulation.sampling import simulate

@@ -5,12 +5,13 @@ Baxter et al. (2014, §V) leave to the future a choice between priors by the con
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from graphtrack.evaluation.metrics import angular_error
+from graphtrack.experiments.behaviour.parties import members
 from graphtrack.experiments.harness import (
     SALSA,
     Cell,
@@ -23,6 +24,7 @@ from graphtrack.experiments.harness import (
     paired,
     unit_of,
 )
+from graphtrack.experiments.strangers import GROUPS
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, wrap
 from graphtrack.interaction.group_files import read_groups
 from graphtrack.model import Model
@@ -33,7 +35,7 @@ from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
 PRESET = "joint"
-POSITION_STD, BODY_KAPPA, HEAD_KAPPA = 0.1, 3.6, 8.2
+NOISE = {"position_std": 0.1, "body_kappa": 3.6, "head_kappa": 8.2}
 """Noise of the observations: metres, and concentrations of 30° and 20°."""
 WINDOW = np.array([0.0, 2.5])
 """Middle of the shop window, metres; people pass it along y = 0."""
@@ -69,24 +71,19 @@ def window_shoppers(settings: Settings) -> Context:
         head = wrap(course + turn * difference(bearing, course))
         tracks.append(Track(k, np.arange(len(t)), t, path, body=course, head=head))
         free.append(np.abs(x) < NEAR)
-    noise = {"position_std": POSITION_STD, "body_kappa": BODY_KAPPA, "head_kappa": HEAD_KAPPA}
-    plain = add_noise(TrackSet(tuple(tracks)), **noise, rng=settings.rng(2))
+    plain = add_noise(TrackSet(tuple(tracks)), **NOISE, rng=settings.rng(2))
     return Context("shop window, simulated", plain, free, (HEAD_FREE,))
 
 
 def party(settings: Settings) -> Context | None:
     """SALSA's people: couplings hold less while somebody is in a conversation, as it is labelled."""
-    recording, path = settings.tracks(*SALSA), settings.recording("salsa", "groups.txt")
+    recording, path = settings.tracks(*SALSA), settings.recording(*GROUPS)
     if recording is None or path is None:
         return None
     steps = settings.few(300, 20)
     recording = recording.map(lambda track: track[:steps])
-    frame, t = (np.concatenate([getattr(track, name) for track in recording]) for name in ("frame", "t"))
-    person = np.concatenate([np.full(len(track), track.track_id) for track in recording])
-    together = read_groups(path).labels(frame, t, person) >= 0
-    free = np.split(together, np.cumsum([len(track) for track in recording])[:-1])
-    noise = {"position_std": POSITION_STD, "body_kappa": BODY_KAPPA, "head_kappa": HEAD_KAPPA}
-    plain = add_noise(recording, **noise, rng=settings.rng(3))
+    free = [together for together, _ in members(recording, read_groups(path))]
+    plain = add_noise(recording, **NOISE, rng=settings.rng(3))
     return Context("conversations, SALSA", plain, free, (HEAD_FREE, BODY_FREE))
 
 
@@ -132,8 +129,8 @@ def _errors(estimates: TrackSet, truth: TrackSet, angle: str) -> FloatArray:
     return np.array([angular_error(*pair, angle) for pair in pairs])  # type: ignore[arg-type]
 
 
-def _rows(one: Context, rng: np.random.Generator, settings: Settings) -> Iterator[Row]:
-    """Half of the people choose the share, the others judge it."""
+def _row(one: Context, rng: np.random.Generator, settings: Settings) -> Row:
+    """Return the figures of the half of the people who do not choose the share."""
     fitted, judged = ((one.people.with_tracks(one.people.tracks[k::2]), one.free[k::2]) for k in range(2))
     share = chosen_share(*fitted, one.inputs)
     settings.progress(1)
@@ -159,14 +156,14 @@ def _rows(one: Context, rng: np.random.Generator, settings: Settings) -> Iterato
                 f"{name}: difference", after, before, rng, f"{name}: low", f"{name}: high", units=units
             )
         settings.progress(1)
-    yield row
+    return row
 
 
 def _parts(settings: Settings) -> Parts:
     found = [one for one in (window_shoppers(settings), party(settings)) if one is not None]
     settings.expect(3 * len(found))
     rng = settings.rng(99)
-    rows = [row for one in found for row in _rows(one, rng, settings)]
+    rows = [_row(one, rng, settings) for one in found]
     yield Table.of("Couplings that an input loosens: hidden heads and errors, with and without it", rows)
     gain = "gain (nats a hidden head)"
     yield Panel("Gain of the likelihood", rows, "context", gain, "context", ("low", "high"), level=0.0)
