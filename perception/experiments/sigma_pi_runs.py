@@ -85,9 +85,8 @@ FROM_BOXES: Mapping[str, SigmaPiParameters | CueGraphParameters] = {
 }
 """Methods with the first box: the tracker; without views; motion only; and the graph."""
 
-LEAST_LOST = 25
-"""Least number of frames at the end of a run without a success, two seconds of a rendered sequence, for which
-the person counts as lost for good."""
+LEAST_LOST = 2.0
+"""Least time (s) at the end of a run without a success for which the person counts as lost for good."""
 
 _CAVIAR_RATE = 25.0  # frames a second
 _LEAST_VISIBLE = 0.5
@@ -100,6 +99,7 @@ class Tally:
 
     Attributes
     ----------
+    rate : frames a second
     frames : in which the person is labelled
     missing : of them, those without a found person
     mismatch : of them, those with an estimated centre outside the person's box
@@ -108,6 +108,7 @@ class Tally:
     empty, alarms : frames without people, and those of them with a found person
     """
 
+    rate: float
     frames: int = 0
     missing: int = 0
     mismatch: int = 0
@@ -142,11 +143,11 @@ class Tally:
 
     @property
     def lost_frames(self) -> int:
-        """Frames at the end without a success, if they are at least `LEAST_LOST`; else 0.
+        """Frames at the end without a success, if they last for `LEAST_LOST` or longer; else 0.
 
         The person is present in all of them: a run that has such frames has lost the person for good.
         """
-        return self.failing if self.failing >= LEAST_LOST else 0
+        return self.failing if self.failing >= LEAST_LOST * self.rate else 0
 
 
 def pooled_success(tallies: Sequence[Tally]) -> float:
@@ -240,11 +241,15 @@ class PersonJob:
         one = self.sequence
         return f"{one.name} {one.numbers[0]}–{one.numbers[-1]}, person {one.person}"
 
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        return CEILING_RATE if isinstance(self.sequence, str) else _CAVIAR_RATE
+
     def tracker(self, parameters: SigmaPiParameters | CueGraphParameters) -> CueTracker:
         """Make a tracker for it."""
         if isinstance(parameters, CueGraphParameters):
-            rate = CEILING_RATE if isinstance(self.sequence, str) else _CAVIAR_RATE
-            return CueGraphTracker(parameters, rate=rate)
+            return CueGraphTracker(parameters, rate=self.rate)
         return SigmaPiTracker(parameters, seed=np.random.default_rng([*self.seed, 1]))
 
     def labelled(self) -> Iterator[tuple[Image, Box | None, bool]]:
@@ -270,7 +275,7 @@ def run_job(job: PersonJob) -> dict[str, Tally]:
     given = isinstance(job.sequence, LabelledPerson)
     methods = FROM_BOXES if given else METHODS
     trackers = {name: job.tracker(parameters) for name, parameters in methods.items()}
-    tallies = {name: Tally() for name in methods}
+    tallies = {name: Tally(job.rate) for name in methods}
     for k, (image, box, counts) in enumerate(job.labelled()):
         for name, tracker in trackers.items():
             estimate = tracker.step(image) if k else tracker.start(image, box if given else None)

@@ -132,7 +132,7 @@ def tables_of(settings: Settings, jobs: Sequence[PersonJob], results: Sequence[M
         "that kind, with another room and other people for every seed; the tracker starts without a box."
     )
     yield (
-        f"Lost for good: no success in the last {LEAST_LOST} frames or more in which the person is visible, "
+        f"Lost for good: no success in the last {LEAST_LOST:g} s or more in which the person is visible, "
         "to the end of the sequence."
     )
     yield (

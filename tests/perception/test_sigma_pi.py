@@ -55,6 +55,7 @@ from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Cloud, Pr
 
 SIZE = (200, 150)
 TARGET = (32, 36)
+RATE = 12.5
 
 
 def picture(width: int, height: int, colour: tuple[int, int, int], grain: float, seed: int) -> Image:
@@ -203,7 +204,7 @@ def test_a_step_without_a_start_and_bad_parameters_are_refused() -> None:
 
 
 def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
-    tally, label = Tally(), (10.0, 10.0, 20.0, 20.0)
+    tally, label = Tally(RATE), (10.0, 10.0, 20.0, 20.0)
     estimate = SigmaPiTracker(seed=0).start(ROOM, None)
     inside = replace(estimate, found=True, box=(15.0, 15.0, 4.0, 4.0))
     outside = replace(estimate, found=True, box=(26.0, 15.0, 10.0, 4.0))
@@ -216,30 +217,31 @@ def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
     tally.add(outside, label, counts=False)
     assert (tally.frames, tally.missing, tally.mismatch, tally.empty, tally.alarms) == (8, 1, 2, 2, 1)
     assert tally.success == 5 / 8
-    assert pooled_success([tally, Tally(frames=8)]) == 100.0 * 13 / 16
+    assert pooled_success([tally, Tally(RATE, frames=8)]) == 100.0 * 13 / 16
 
 
 def test_a_run_without_a_success_to_the_end_has_lost_the_person_for_good() -> None:
     label, estimate = (10.0, 10.0, 20.0, 20.0), SigmaPiTracker(seed=0).start(ROOM, None)
     inside = replace(estimate, found=True, box=(15.0, 15.0, 4.0, 4.0))
     astray, gone = replace(inside, box=(40.0, 15.0, 4.0, 4.0)), replace(inside, found=False)
-    tally = Tally()
-    for one in (*[astray] * LEAST_LOST, inside, *[gone, astray] * LEAST_LOST):
+    frames = 25
+    tally = Tally(frames / LEAST_LOST)
+    for one in (*[astray] * frames, inside, *[gone, astray] * frames):
         tally.add(one, label)
     tally.add(gone, None)  # the person left: not a failure
-    assert tally.lost_frames == tally.longest == 2 * LEAST_LOST
+    assert tally.lost_frames == tally.longest == 2 * frames
     tally.add(inside, label)
-    assert tally.lost_frames == 0 and tally.longest == 2 * LEAST_LOST
-    for _ in range(LEAST_LOST - 1):
+    assert tally.lost_frames == 0 and tally.longest == 2 * frames
+    for _ in range(frames - 1):
         tally.add(gone, label)
     assert tally.lost_frames == 0
     tally.add(gone, label)
-    assert tally.lost_frames == LEAST_LOST
+    assert tally.lost_frames == frames
 
 
 def test_the_papers_total_is_over_frames_and_one_rate_differs_from_its_counts() -> None:
     assert sum(frames for frames, *_ in PAPER.values()) == 9155
-    assert pooled_success([Tally(frames, *failures) for frames, *failures, _ in PAPER.values()]) == (
+    assert pooled_success([Tally(RATE, frames, *failures) for frames, *failures, _ in PAPER.values()]) == (
         pytest.approx(90.28, abs=0.005)
     )
     differing = [
@@ -258,7 +260,7 @@ def test_rendered_sequences_are_as_long_as_the_papers() -> None:
 
 def test_tables_of_runs_weigh_frames_and_show_every_method() -> None:
     jobs = [PersonJob(kind, (0, 0, k), None) for kind in PAPER for k in range(2)]
-    good, bad = Tally(300, 0, 30, 0, 5), Tally(100, 60, 0, 60, 60)
+    good, bad = Tally(RATE, 300, 0, 30, 0, 5), Tally(RATE, 100, 60, 0, 60, 60)
     results = [{name: good if name == OURS or k % 2 else bad for name in METHODS} for k in range(len(jobs))]
     tables = {
         one.title: one.records() for one in tables_of(Settings(), jobs, results) if isinstance(one, Table)
