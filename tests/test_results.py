@@ -15,9 +15,7 @@ from perception.cli import evaluate
 STEMS = sorted(path.stem for path in (results.RESULTS / "data").glob("*.json"))
 UNFINISHED = {
     "README.md",
-    "docs/papers.md",
     "docs/results/filters.md",
-    "docs/results/trackers.md",
     "docs/results/perception.md",
 }
 """Pages whose figures in prose are not all quoted from the data yet."""
@@ -43,12 +41,13 @@ NO_RESULTS = (
     r"`[^`]+`",  # code, and parameters
     r"\]\([^)]*\)",  # addresses of links
     r"\b95 % (?:intervals?|bootstrap)",
-    r"\b(?:[Ee]q|Figs?|Tables?)\.? \d+(?:[.–]\d+)*",
+    r"(?:\b(?:[Ee]q|Figs?|Tables?)\.? |§)\d+(?:[.–]\d+)*",
     r"Python 3\.\d+",
 )
 """Blocks and phrases of a page whose numbers are no results."""
 
-TABLES = sorted(set(results.specs()) - {"names", "quotes"})
+TABLES = sorted(set(results.specs()) - set(results.NO_TABLES))
+PAPERS = ("Baxter 2014", "Chen 2011", "Yan 2011", "Ba & Odobez 2003")
 ABOUT = [
     {
         "title": "Errors of all",
@@ -87,6 +86,12 @@ def test_figures_in_prose_are_those_of_the_data(quote):
     assert results.quoted(quote) in prose
 
 
+@pytest.mark.parametrize("printed", results.specs()["printed"], ids=lambda printed: printed["text"])
+def test_figures_of_a_paper_name_their_place_in_it(printed):
+    assert printed["text"] in " ".join((ROOT / printed["page"]).read_text(encoding="utf-8").split())
+    assert printed["source"].startswith(PAPERS) and re.search(r"Table|Fig\.|§|eq\.", printed["source"])
+
+
 def claims(text: str, quotes: list[str]) -> list[str]:
     """Measured-looking numbers of a page that no quotation has."""
     for pattern in BLOCKS:
@@ -102,7 +107,9 @@ def claims(text: str, quotes: list[str]) -> list[str]:
 @pytest.mark.parametrize("page", CLAIMING, ids=lambda page: str(page.relative_to(ROOT)))
 def test_figures_of_a_page_come_from_the_data(page):
     name = str(page.relative_to(ROOT))
-    quotes = [results.quoted(quote) for quote in results.specs()["quotes"] if quote["page"] == name]
+    specs = results.specs()
+    quotes = [results.quoted(quote) for quote in specs["quotes"] if quote["page"] == name]
+    quotes += [printed["text"] for printed in specs["printed"] if printed["page"] == name]
     found = claims(page.read_text(encoding="utf-8"), [" ".join(quote.split()) for quote in quotes])
     if name in UNFINISHED:
         assert found, f"{name} is finished: take it out of UNFINISHED"

@@ -34,6 +34,8 @@ MARKER = re.compile(r"^\[(?P<kind>table|setting) (?P<name>[\w-]+)(?:: [^\]\n]*)?
 FIELD = re.compile(r"\{(?P<column>[^{}|]*)(?:\|(?P<form>[^{}]*))?\}")
 MEASURED = ("graphtrack reproduce ", "perception evaluate ", "pytest tests/")
 """Beginnings of commands that write what they measure: with ``--json``, tests with ``--figures``."""
+NO_TABLES = ("names", "quotes", "printed")
+"""Parts of ``tables.toml`` that are no tables: labels, and texts with figures of the data or of a paper."""
 DIGITS = 5
 """Significant digits that are kept of a measured number."""
 
@@ -243,7 +245,7 @@ def _measured_cells(spec: Spec) -> list[Spec]:
 
 def sources() -> list[Spec]:
     """All that names a data file and the title of a table in it: tables, cells of tables and quotations."""
-    tables = [spec for name, spec in specs().items() if name not in ("names", "quotes")]
+    tables = [spec for name, spec in specs().items() if name not in NO_TABLES]
     cells = [cell for spec in tables for cell in _measured_cells(spec)]
     return [*(spec for spec in tables if "data" in spec), *cells, *specs().get("quotes", [])]
 
