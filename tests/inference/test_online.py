@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import gc
 import json
+import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -69,6 +71,27 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     keys = [key for step in steps for key in variable_keys(step, model)]
     information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
     return reported(np.linalg.inv(information)[-6:, -6:])
+
+
+@pytest.mark.parametrize(
+    ("engine", "constants"),
+    [("chain", "default"), ("chain", "learn"), ("fixed-lag", "default"), ("isam2", "default")],
+)
+def test_steps_leave_nothing_in_memory(engine: Any, constants: str) -> None:
+    """A service runs for months. Arrays are traced, those that only compiled code still refers to as well."""
+    track = walk(60, seed=3)
+
+    def kept() -> int:
+        track_online(track, "joint", engine=engine, lag=0.5, constants=constants)
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        kept()
+        assert kept() - kept() > -50_000
+    finally:
+        tracemalloc.stop()
 
 
 # Against independent solutions.

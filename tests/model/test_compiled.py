@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import logging
 import os
 import re
@@ -41,6 +42,29 @@ def test_what_makes_arrays_or_hands_them_back_has_to_say_so(monkeypatch, tmp_pat
     np.testing.assert_array_equal(allocating(rest)(np.arange(3.0)), [1.0, 2.0])
     with pytest.raises(TypeError, match=r"rest returns np\.ndarray"):
         compiled(rest)
+
+
+def test_functions_without_reference_counting_call_none_that_returns_arrays() -> None:
+    """They would not release what they got: it would stay in memory for good."""
+    functions = [
+        (function, {name.id for name in function.decorator_list if isinstance(name, ast.Name)})
+        for package in PACKAGES
+        for path in package.rglob("*.py")
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(function, ast.FunctionDef)
+    ]
+    numbers = re.compile(r"(?:None|bool|int|float|tuple\[[\[\], a-z.]+\])")
+    counting = [one for one, names in functions if names & {"allocating", "inner_allocating"}]
+    handing = {one.name for one in counting if not numbers.fullmatch(ast.unparse(one.returns or ast.Tuple()))}
+    assert "chain_of" in handing and "find_other_basin" not in handing
+    others = [one for one, names in functions if names & {"compiled", "inner", "merged"}]
+    calls = {
+        (one.name, call.func.id)
+        for one in others
+        for call in ast.walk(one)
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+    }
+    assert len(others) > 100 and not [pair for pair in calls if pair[1] in handing]
 
 
 def test_numba_s_own_setting_stays_as_it_was(monkeypatch, tmp_path: Path) -> None:

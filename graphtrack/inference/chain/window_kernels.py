@@ -350,7 +350,7 @@ def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) 
     problem.offsets[0] = begin + 1
 
 
-@compiled
+@allocating
 def condense(problem: Problem, states: FloatArray, exact: bool, memory: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, in the memory; True if definite."""
     chain, turns, start = chain_of(problem), memory.trigonometry, states[0]
