@@ -6,7 +6,7 @@ source alike, on people of that source who are not reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
@@ -108,7 +108,7 @@ def by_angle(
     return {(*key, angle): np.array(errors)[:, i] for i, angle in enumerate(ANGLES)}
 
 
-def default_models(methods: Iterable[str]) -> dict[tuple[str, str], Model]:
+def default_models(methods: Collection[str]) -> dict[tuple[str, str], Model]:
     """(preset, method) → the model with default parameters."""
     models = {preset: Model(preset) for preset in PRESETS}
     return {(preset, method): models[preset] for preset in PRESETS for method in methods}
@@ -403,7 +403,7 @@ def _parts(settings: Settings) -> Parts:
     found, evaluations = [], settings.few(60, 7)
     everyone = cases(settings)
     searches = len(FITTED) * sum(not method.endswith(ISAM2) for method in METHODS)
-    models = default_models(method for method in METHODS if not method.endswith(ISAM2))
+    models = default_models([method for method in METHODS if not method.endswith(ISAM2)])
     settings.expect(
         sum((len(models) + len(FITTED) * len(METHODS)) * len(case.judged) for case in everyone)
         + sum(searches * evaluations * len(case.training) for case in everyone)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from graphtrack.evaluation.chosen_filter import chosen_filter
-from graphtrack.experiments import Settings, baxter_weight, gaits, unseen_people
+from graphtrack.experiments import Settings, baxter_weight, chen_joint, gaits, unseen_people
 from graphtrack.experiments.baxter_simulated import RIVAL, Gain, paired
 from graphtrack.experiments.chen_classes import (
     OPTIONS,
@@ -220,6 +220,23 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     rows = list(_parameters([FittedErrors(case, scores, found, {})]))
     assert rows[0]["method"] == "default" and len(rows) == 1 + 2 * len(FITTED)
     assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
+
+
+def test_every_method_is_judged_with_default_and_with_fitted_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    people = simulate("joint", n_tracks=2, n_steps=12, rng=np.random.default_rng(0))
+    monkeypatch.setattr(chen_joint, "cases", lambda settings: [Cohort("people", people, people)])
+    steps: list[int] = []
+    expected: list[int] = []
+    detail = chen_joint.EXPERIMENT.run(SETTINGS, steps.append, expected.append).tables[0]
+    assert sum(steps) <= expected[0]  # a search may end before its time
+    rows = detail.records()
+    assert len(rows) == len(ANGLES) * len(chen_joint.METHODS)
+    for row in rows:
+        default = [row[f"{preset} (°)"] for preset in chen_joint.PRESETS]
+        assert all(np.isnan(value) == str(row["method"]).endswith(ISAM2) for value in default)
+        assert all(0.0 < row[f"{preset}, fitted (°)"] < 180.0 for preset in FITTED)
 
 
 def test_a_search_that_ends_where_it_may_go_no_further_says_so() -> None:
