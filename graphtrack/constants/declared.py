@@ -147,10 +147,9 @@ class DeclaredNoise:
         lines = [line for one in self.channels if (line := one.line(corrected)) is not None]
         found = self.relation
         if found is not None and found.is_wrong and found.is_gross:
-            how = "mirrored" if found.is_mirrored else f"turned by {math.degrees(found.value):.0f}°"
             lines.append(
-                f"head, body: the angles of heads are {how} against those of bodies: one of the two columns "
-                "has another convention, and nobody's motion shows which"
+                f"head, body: the angles of heads are {found.relation} against those of bodies: one of the "
+                "two columns has another convention, and nobody's motion shows which"
             )
         return lines
 

@@ -102,17 +102,22 @@ class AngleFit:
         places = {"position": track.position, "pixel": track.pixel}
         return _read_again(places, given, self.current, self.convention, camera) if given else {}
 
+    @property
+    def relation(self) -> str:
+        """Words for a mirror or a rotation."""
+        side = "clockwise" if self.value < 0.0 else "counter-clockwise"
+        return "mirrored" if self.is_mirrored else f"turned by {abs(math.degrees(self.value)):.0f}° {side}"
+
     def described(self) -> str:
         """Return the finding as a phrase."""
         degrees = math.degrees(self.value)
         if not self.is_gross:
             side = "left" if degrees > 0.0 else "right"
             return f"people are seen turned {abs(degrees):.0f}° to the {side} of where they go"
-        how = "mirrored" if self.is_mirrored else f"turned by {degrees:.0f}°"
         people = "one person" if self.tracks == 1 else f"{self.tracks} people"
         return (
-            f"the angles are {how} against the motion of {people}: they fit --angles '{self.convention}', "
-            f"and were read {self.current}"
+            f"the angles are {self.relation} against the motion of {people}: they fit "
+            f"--angles '{self.convention}', and were read {self.current}"
         )
 
 
