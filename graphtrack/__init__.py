@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
     from graphtrack.forecasting.recorded import Forecasts, forecast
+    from graphtrack.geometry.conventions import AngleConvention
     from graphtrack.geometry.poses import PosePath
     from graphtrack.graphs import graph_of, tracks_of
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "AngleConvention",
     "Comparison",
     "Cost",
     "Estimate",
@@ -129,6 +131,7 @@ _HOMES = {
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
     "forecasting.recorded": "Forecasts forecast",
+    "geometry.conventions": "AngleConvention",
     "geometry.poses": "PosePath",
     "graphs": "graph_of tracks_of",
     "inference.graph.recording": "key_of",

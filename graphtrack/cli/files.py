@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,11 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, emit, print_table, printable, write_json, write_tracks
+from graphtrack.cli.console import (
+    console,
+    emit,
+    print_table,
+    printable,
+    quiet_input_warnings,
+    write_json,
+    write_tracks,
+)
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 
 if TYPE_CHECKING:
+    from graphtrack.io.suggestion import Suggestion
     from graphtrack.tracks.track import Track, TrackSet
 
 
@@ -79,13 +89,27 @@ def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path 
 
     if len(inputs) != 1 or reading.given() or json_path is not None:
         raise InputError("--suggest with other options, or several files", "one file, and --suggest alone")
-    found = suggest(inputs[0])
+    found = _with_angles(suggest(inputs[0]), inputs[0])
     words = ["graphtrack", "info", str(inputs[0])]
     for name, value in found.options.items():
         words += [options.option_name(name), value]
     for remark in found.remarks:
         emit(f"  note: {remark}")
     print(printable(shlex.join(words), one_line=True))
+
+
+def _with_angles(found: Suggestion, path: Path) -> Suggestion:
+    """Return a suggestion with the convention that the angles of people in motion fit."""
+    from graphtrack.constants.directions import proposed_convention
+    from graphtrack.io.read_write import rows_of_file
+    from graphtrack.tracks.track import TrackSet
+
+    with quiet_input_warnings():
+        rows = rows_of_file(path, None, found.read_options)
+        tracks = TrackSet.from_rows(rows) if rows.has_identity else TrackSet(())
+    convention, remarks = proposed_convention(tracks)
+    found = replace(found, remarks=(*found.remarks, *remarks))
+    return found if convention is None else found.with_option("angles", str(convention))
 
 
 def _shown(value: Any) -> Any:

@@ -43,6 +43,9 @@ _CAMERA_FILES = ("homography", "point_pairs", "calibration")
 CAMERA = (*_CAMERA_FILES, "metres_per_pixel")
 """Options that map pixels to the ground."""
 
+ANGLES = ("angles", "angle_zero", "angle_sense")
+"""Options of the convention of angles."""
+
 InputFile = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
 Walkable = Annotated[
     Path | None,
@@ -123,6 +126,10 @@ class MetricReading:
     time_unit : Unit of the times; iso: text of ISO 8601.
     units : Unit of the lengths.
     crs : Coordinate reference system of the positions, such as EPSG:4326; needs the extra geo.
+    angles : Convention of the angles, such as 'clockwise from image up', compass, or 'radians, clockwise from
+        y'; by default counter-clockwise from x, and compass bearings in tables with lat and lon.
+    angle_zero : In place of --angles: direction of the angle 0, in the image, on the ground or by compass.
+    angle_sense : In place of --angles: sense of rotation, ccw counter-clockwise, cw clockwise.
     delimiter : Separator of the cells, such as ';', or tab, space.
     decimal : Decimal separator: a comma.
     encoding : Encoding of text that is not UTF-8, such as cp1252 or utf-16-le.
@@ -145,6 +152,11 @@ class MetricReading:
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = None
     units: Literal["m", "cm", "mm", "ft"] | None = None
     crs: str | None = None
+    angles: Annotated[str | None, typer.Option(metavar="TEXT")] = None
+    angle_zero: (
+        Literal["right", "up", "left", "down", "x", "y", "-x", "-y", "north", "east", "south", "west"] | None
+    ) = None
+    angle_sense: Literal["cw", "ccw"] | None = None
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None

@@ -90,7 +90,7 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: repairing tracks needs future frames")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        of_streams = ("fps", "homography", "associate", "columns", "time_unit", "sensors")
+        of_streams = ("fps", "homography", "associate", "columns", "time_unit", "sensors", *options.ANGLES)
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
         if refused:
@@ -113,6 +113,7 @@ def track(
             None if walkable is None else WalkableArea.of(walkable),
             known_constants(constants),
             reading.options().sensor_scene,
+            reading.options().angle_convention,
         )
         _track_stream(answers, reading, state, save_every)
         return
@@ -310,6 +311,7 @@ def serve(
     places: options.Places = None,
     walkable: options.Walkable = None,
     sensors: options.InputFile | None = None,
+    angles: Annotated[str | None, typer.Option(metavar="TEXT")] = None,
     state: Annotated[Path | None, typer.Option(file_okay=False)] = None,
     save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
     token_file: options.InputFile | None = None,
@@ -336,6 +338,8 @@ def serve(
     groups : Report conversation groups and people walking together.
     attention : Report gaze targets: people and --places.
     sensors : Description of the sensors (.toml); rows are corrected for their known errors.
+    angles : Convention of the angles of rows and answers, such as 'clockwise from image up' or compass; by
+        default degrees counter-clockwise from x.
     state : Folder for saved streams, which can be resumed; created if missing.
     save_every : As in graphtrack track.
 
@@ -355,6 +359,7 @@ def serve(
     patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
         stream's process (at least 10), which is killed then.
     """
+    from graphtrack.geometry.conventions import AngleConvention
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import check_lag, online_engine
     from graphtrack.io.sensors import SensorScene
@@ -383,6 +388,7 @@ def serve(
         bounds=StreamBounds(max_people, forget_after),
         walkable=None if walkable is None else WalkableArea.of(walkable),
         sensors=None if sensors is None else SensorScene.load(sensors),
+        angles=None if angles is None else AngleConvention.of(angles),
     )
     limits = Limits(max_streams, max_rate, max_line, patience)
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)

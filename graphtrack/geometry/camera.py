@@ -353,8 +353,10 @@ class GroundCamera:
 
         It equals `ground_jacobian` except for a fisheye, whose raw and ideal pixels differ much.
         """
-        if self.lens == "pinhole":
-            return self.ground_jacobian(pixel)
+        return self.ground_jacobian(pixel) if self.lens == "pinhole" else self._metres_per_step(pixel)
+
+    def _metres_per_step(self, pixel: ArrayLike) -> FloatArray:
+        """Central differences (..., 2, 2) of `image_to_ground` for a step of one raw pixel, lens included."""
         pixel = np.asarray(pixel, dtype=float)
         steps = 0.5 * np.eye(2)
         return np.stack(
@@ -447,6 +449,22 @@ class GroundCamera:
         toward = unit(direction_in_image) * np.array([0.5, -0.5])
         moved = self.image_to_ground(pixel + toward) - self.image_to_ground(pixel - toward)
         return np.where(np.isfinite(moved).all(axis=-1), direction(moved), np.nan)
+
+    def world_direction_to_image(self, heading: ArrayLike, pixel: ArrayLike) -> FloatArray:
+        """The inverse of `image_direction_to_world`: directions in the image of headings (...,), radians."""
+        metres = self._metres_per_step(pixel)
+        # Adjugate times heading, with the sign of the determinant: a direction needs no division.
+        x, y = np.moveaxis(unit(heading), -1, 0)
+        right = metres[..., 1, 1] * x - metres[..., 0, 1] * y
+        down = metres[..., 0, 0] * y - metres[..., 1, 0] * x
+        sign = np.sign(metres[..., 0, 0] * metres[..., 1, 1] - metres[..., 0, 1] * metres[..., 1, 0])
+        known = np.isfinite(metres).all(axis=(-2, -1))
+        return np.where(known, np.arctan2(-sign * down, sign * right), np.nan)
+
+    @property
+    def is_scale(self) -> bool:
+        """Return True if a direction in the image has the same heading everywhere."""
+        return self.distortion is None and not np.any(self.homography[2, :2])
 
     @cached_property
     def _to_image(self) -> FloatArray:

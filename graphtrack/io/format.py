@@ -23,8 +23,8 @@ from graphtrack.io.source import RemoteFile, Source, mostly
 from graphtrack.io.text import mostly_numbers
 from graphtrack.tracks.cells import Cells
 from graphtrack.tracks.schema import NAMES
-from graphtrack.tracks.table import Rows, restored
-from graphtrack.tracks.track import TrackSet, to_columns
+from graphtrack.tracks.table import Rows
+from graphtrack.tracks.track import TrackSet, columns_as_read
 from graphtrack.tracks.validation import check_frame_rate, parse_number
 
 
@@ -65,7 +65,7 @@ class Format:
 
     def _write_table(self, tracks: TrackSet, path: Path) -> None:
         assert self.write_columns is not None
-        self.write_columns(restored(to_columns(tracks), tracks.as_read), path)
+        self.write_columns(columns_as_read(tracks), path)
 
 
 COMPANIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -11,6 +11,7 @@ from typing import Literal, TypedDict, Unpack, get_args
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import AngleConvention, Sense, Zero
 from graphtrack.geometry.poses import PosePath
 from graphtrack.io.limits import MemoryLimit
 from graphtrack.io.sensors import SensorScene, SensorsLike
@@ -110,6 +111,9 @@ class ReadingBase(TypedDict, total=False):
     time_unit: str | None
     units: str | None
     crs: str | None
+    angles: AngleConvention | str | None
+    angle_zero: Zero | None
+    angle_sense: Sense | None
     delimiter: str | None
     decimal: str | None
     encoding: str | None
@@ -165,6 +169,9 @@ class ReadOptions:
     time_unit : of numbers in its column of times, "s", "ms", "us" or "ns"; "iso" for text of ISO 8601
     units : of its lengths, "m", "cm", "mm" or "ft"
     crs : coordinate reference system of its positions, such as "EPSG:4326", converted to local metres
+    angles : convention of its angles, an `AngleConvention` or text such as "clockwise from image up"; None:
+        counter-clockwise from +x, and in tables with ``lat`` and ``lon`` compass bearings
+    angle_zero, angle_sense : in place of ``angles``: the direction of zero, and "ccw" or "cw"
     delimiter, decimal : cell separator and decimal mark of a text file
     encoding : of a text file that is not UTF-8
     topic : of a ROS 2 recording, the topic with people, or a pattern; several, whose identities are kept
@@ -196,6 +203,9 @@ class ReadOptions:
     time_unit: str | None = None
     units: str | None = None
     crs: str | None = None
+    angles: AngleConvention | str | None = None
+    angle_zero: Zero | None = None
+    angle_sense: Sense | None = None
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
@@ -225,6 +235,11 @@ class ReadOptions:
         )
         if self.columns is not None:
             object.__setattr__(self, "columns", parse_columns(self.columns))
+        if self.angles is not None:
+            object.__setattr__(self, "angles", AngleConvention.of(self.angles))
+            if self.angle_zero is not None or self.angle_sense is not None:
+                raise InputError("angles with angle_zero or angle_sense", "angles alone, or zero and sense")
+        _ = self.angle_convention  # checks it
         object.__setattr__(self, "delimiter", delimiter_of(self.delimiter))
         check_decimal(self.decimal)
         if self.delimiter is not None and self.delimiter == self.decimal:
@@ -259,8 +274,16 @@ class ReadOptions:
         """The descriptions of the sensors; None without them."""
         return None if self.sensors is None else SensorScene.of(self.sensors)
 
+    @property
+    def angle_convention(self) -> AngleConvention | None:
+        """The convention of angles that is declared; None: none."""
+        if self.angle_zero is None and self.angle_sense is None:
+            assert not isinstance(self.angles, str)
+            return self.angles
+        return AngleConvention.between(self.angle_zero, self.angle_sense)
+
     def layout(self) -> Layout | None:
-        """Return the columns and units of a table; None for the native table.
+        """Return the columns and units of a table, without its angles; None for those of the native table.
 
         Raises
         ------

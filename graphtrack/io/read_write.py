@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import BEARINGS, AngleConvention
 from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
 from graphtrack.io.cameras import place_pixels, read_homography
 from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
@@ -33,7 +34,15 @@ from graphtrack.io.source import Source, place_of, sequence_file, table_in
 from graphtrack.io.text import in_utf8
 from graphtrack.tracks.cells import Cells, Layout, cells_of_frame, rows_of_cells
 from graphtrack.tracks.display import counted, listed
-from graphtrack.tracks.table import Rows, check_identities, check_rows, merged
+from graphtrack.tracks.table import (
+    ANGLES,
+    DEGREES,
+    IN_DEGREES,
+    Rows,
+    check_identities,
+    check_rows,
+    merged,
+)
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import LARGEST_ID
 
@@ -158,10 +167,12 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
     """Return the rows of a table's cells, in metres and with times; ``strict``: see `rows_of_cells`."""
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
     layout = found.layout()
+    meaning = layout or Layout()
+    convention, note_on_angles = _convention(cells, meaning, found)
     try:
         rows = rows_of_cells(
             cells,
-            layout or Layout(),
+            replace(meaning, angles=convention),
             fps=found.fps,
             reference=found.reference,
             strict=strict and layout is None,
@@ -171,8 +182,26 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
         raise error.at(hint=hint_for(error, native=native)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
-    rows = rows.with_notes(*notes)
-    return place_pixels(rows, found) if "pixel" in rows.channels else rows
+    rows = rows.with_notes(*notes, *note_on_angles)
+    return (place_pixels(rows, found) if "pixel" in rows.channels else rows).with_headings()
+
+
+def _convention(
+    cells: Cells, layout: Layout, options: ReadOptions
+) -> tuple[AngleConvention | None, tuple[str, ...]]:
+    """Return the convention of a table's angles and a note on one that was assumed; None: the native one."""
+    given = options.angle_convention
+    names = {*layout.columns, *(name for name in cells.columns if name not in layout.columns.values())}
+    if given is not None or not names & {*IN_DEGREES, *ANGLES}:
+        return given, ()
+    if DEGREES[0] in layout.columns:
+        return BEARINGS, (
+            "angles in a table with lat and lon are taken as compass bearings: "
+            "--angles 'counter-clockwise from east' for others",
+        )
+    if layout.crs is not None:
+        return None, ("angles were taken counter-clockwise from east: --angles compass for bearings",)
+    return None, ()
 
 
 def read_with(
@@ -241,8 +270,8 @@ def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     """Return the rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
     source = _opened(path, options)
     chosen = _chosen(source, format)
-    if options.layout() is not None:
-        raise InputError("columns or units with boxes", "boxes as their format has them", path=path)
+    if options.layout() is not None or options.angle_convention is not None:
+        raise InputError("columns, units or angles with boxes", "boxes as their format has them", path=path)
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
 
 
@@ -308,7 +337,7 @@ def _chosen(source: Source, format: str | None, options: ReadOptions = ReadOptio
 
 def _check_taken(chosen: Format, options: ReadOptions, path: Path) -> None:
     """Refuse options of tables that a format does not know."""
-    for name in ("columns", "time_unit", "units", "crs"):
+    for name in ("columns", "time_unit", "units", "crs", "angles", "angle_zero", "angle_sense"):
         if getattr(options, name) is not None and name not in chosen.takes:
             known = " or ".join(f"--{one}" for one in chosen.takes) or "a table: csv, parquet or ndjson"
             raise InputError(f"--{name.replace('_', '-')} for the format {chosen.name}", known, path=path)

@@ -40,6 +40,11 @@ class Suggestion:
         remarks = (*self.remarks, remark) if remark else self.remarks
         return replace(self, options={**self.options, name: value}, remarks=remarks)
 
+    @property
+    def read_options(self) -> ReadOptions:
+        """The options of reading."""
+        return _read_options(self)
+
 
 def suggest(path: Path) -> Suggestion:
     """Return the options with which a file can be read; none where it can be read without any."""

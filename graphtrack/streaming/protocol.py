@@ -12,8 +12,12 @@ from functools import lru_cache
 from itertools import chain
 from typing import Any, TypeGuard
 
+import numpy as np
+
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrapped
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import UNPLACED, AngleConvention, converted
 from graphtrack.inference.online import Estimate
 from graphtrack.io.column_names import with_synonyms
 from graphtrack.io.formats.ndjson import Pairs, identity, parse_line
@@ -25,9 +29,10 @@ from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors, Waiting
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
+from graphtrack.tracks.table import ANGLES, IN_DEGREES
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
-from graphtrack.tracks.validation import APPEARANCE, INPUT, LARGEST_SECONDS
+from graphtrack.tracks.validation import APPEARANCE, INPUT, LARGEST_DEGREES, LARGEST_SECONDS
 
 LONGEST_LINE = 1 << 20
 """Largest number of bytes in a line."""
@@ -35,6 +40,10 @@ LONGEST_LINE = 1 << 20
 _CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
 _ANSWER = tuple(f"{name}_deg" if name in _CLASSES else name for name in STATE)
 _NUMBERS = (*_ANSWER, *(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE))
+_PLACES = {"position": ("x", "y"), "pixel": ("u", "v")}
+_LIKELIHOODS = {
+    f"{name}_likelihood": tuple(f"{name}_p{k}" for k in range(count)) for name, count in _CLASSES.items()
+}
 _NAMED = 100
 """Number of unknown keys that are reported."""
 
@@ -408,12 +417,18 @@ class StreamNames:
     unit : nanoseconds of the unit of time; those of a second leave times unchanged
     origin : nanoseconds at t = 0; see `beginning`
     are_known : whether the columns were read by well-known names, without options
+    radians : columns of the native table that are radians in the stream
+    angles : convention of the stream's angles; None: native
+    camera : of the stream, for angles that are directions in its image
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: int = NANOSECONDS_IN["s"]
     origin: int = 0
     are_known: bool = False
+    radians: frozenset[str] = frozenset()
+    angles: AngleConvention | None = None
+    camera: GroundCamera | None = None
 
     @classmethod
     def of(cls, layout: Layout) -> StreamNames:
@@ -422,18 +437,24 @@ class StreamNames:
         Raises
         ------
         InputError
-            For layouts that a stream does not support: geographic degrees, radians, columns for each person,
-            and text for times.
+            For layouts that a stream does not support: geographic degrees, columns for each person, and text
+            for times.
         """
         for key, name in layout.columns.items():
-            if not is_column(key) or name in layout.wild.values():
+            if not (is_column(key) or key in ANGLES) or name in layout.wild.values():
                 raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
         unit = layout.time_unit or "s"
         if unit not in NANOSECONDS_IN:
             raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS_IN)}")
         if layout.units is not None or layout.crs is not None:
             raise InputError("--units or --crs with -", "rows in metres")
-        return cls(dict(layout.columns), NANOSECONDS_IN[unit])
+        columns = {ANGLES.get(key, key): name for key, name in layout.columns.items()}
+        radians = frozenset(native for key, native in ANGLES.items() if key in layout.columns)
+        return cls(columns, NANOSECONDS_IN[unit], radians=radians)
+
+    def with_angles(self, angles: AngleConvention | None, camera: GroundCamera | None) -> StreamNames:
+        """Return a copy for angles of a convention, and the camera of its directions."""
+        return self if angles is None else replace(self, angles=angles, camera=camera)
 
     def beginning(
         self, lines: Lines, refuse: Refuse, note: Callable[[str], None]
@@ -472,14 +493,15 @@ class StreamNames:
             return self
         if layout.units is not None:
             raise InputError(f"column {layout.columns['x']} with -", "a column of positions in metres")
-        return replace(self.of(layout), are_known=True)
+        return replace(self.of(layout), are_known=True).with_angles(self.angles, self.camera)
 
     def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
         """Return the names of a resumed stream, given the settings of its state."""
         names, columns, per_second = self, saved.get("columns"), saved.get("per_second")
         if saved.get(KNOWN) is True and not self.columns and isinstance(columns, dict):
             unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
-            names = StreamNames({str(key): str(name) for key, name in columns.items()}, unit, are_known=True)
+            known = {str(key): str(name) for key, name in columns.items()}
+            names = replace(self, columns=known, unit=unit, are_known=True)
         origin = saved.get(ORIGIN)
         return names.counting_from(origin if isinstance(origin, int) else 0)
 
@@ -490,7 +512,7 @@ class StreamNames:
     @property
     def are_native(self) -> bool:
         """Return True if all names and units are those of the native table."""
-        return not self.columns and self._leaves_times
+        return not self.columns and self._leaves_times and self.angles is None
 
     @property
     def _leaves_times(self) -> bool:
@@ -503,16 +525,27 @@ class StreamNames:
         """Return the settings that the answers depend on, for a state."""
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
+        found |= {"radians": sorted(self.radians)} if self.radians else {}
         return found | ({KNOWN: True} if self.are_known else {})
 
-    def native_lines(self, lines: Lines) -> Lines:
-        """Yield lines in native names and units, with their numbers."""
-        if self.are_native:
-            return lines
-        return ((number, self.native(line)) for number, line in lines)
+    def native_lines(self, lines: Lines, note: Callable[[str], None] | None = None) -> Lines:
+        """Yield lines in native names and units, with their numbers; ``note`` receives unused angles."""
+        return lines if self.are_native else self._converted_lines(lines, note or (lambda text: None))
 
-    def native(self, line: bytes) -> bytes:
-        """Return a line in native names and units; an unreadable line is unchanged and refused later."""
+    def _converted_lines(self, lines: Lines, note: Callable[[str], None]) -> Lines:
+        reported: set[str] = set()
+        for number, line in lines:
+            unused: set[str] = set()
+            yield number, self.native(line, unused)
+            for key in sorted(unused - reported):
+                note(f"key {self._name(key)!r} is not used in rows without a position: {UNPLACED}")
+                reported.add(key)
+
+    def native(self, line: bytes, unused: set[str] | None = None) -> bytes:
+        """Return a line in native names and units; an unreadable line is unchanged and refused later.
+
+        Keys of angles that cannot be converted are null, and added to ``unused``.
+        """
         try:
             pairs = parse_line(text_of(line))
         except InputError:
@@ -524,6 +557,11 @@ class StreamNames:
             if name not in meaning and name in self.columns:  # another column has that meaning
                 continue
             found.append((key, self._seconds(value) if key in _TIMES else value))
+        if self.angles is not None or self.radians:
+            headings = self._angles(dict(found))
+            found = [(key, headings.get(key, value)) for key, value in found]
+            if unused is not None:
+                unused |= {key for key, value in headings.items() if value is None}
         # A repeated key is kept, since it is an error.
         body = ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in found)
         return f"{{{body}}}\n".encode()
@@ -540,8 +578,46 @@ class StreamNames:
             return value
 
     def restored(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        """Return an answer under the stream's names, in its unit."""
+        """Return an answer under the stream's names, in its unit and its convention of angles."""
+        if self.angles is not None or self.radians:
+            answer = {**answer, **self._angles(answer, back=True)}
         return {self._name(key): self._value(key, value) for key, value in answer.items()}
+
+    def _angles(self, row: Mapping[str, Any], back: bool = False) -> dict[str, float | None]:
+        """Return angles and class likelihoods of a row as native ones, or ``back`` as those of the stream.
+
+        None is an angle that the camera cannot map without a position; what is no number is left to others.
+        """
+        in_radians = IN_DEGREES if self.angles is not None and self.angles.unit == "rad" else self.radians
+        given = {
+            key: value
+            for key in IN_DEGREES
+            if _is_number(value := row.get(key)) and abs(value) <= LARGEST_DEGREES
+        }
+        if not back:
+            given |= {key: math.degrees(given[key]) for key in in_radians if key in given}
+        if self.angles is not None:
+            given |= self._converted(row, given, back)
+        if back:
+            given |= {key: math.radians(given[key]) for key in in_radians if key in given}
+        return {key: None if value != value else value for key, value in given.items()}
+
+    def _converted(self, row: Mapping[str, Any], angles: Mapping[str, float], back: bool) -> dict[str, float]:
+        """Return angles in degrees, and class likelihoods of a row, by the convention; NaN where unknown."""
+        channels = {key.removesuffix("_deg"): np.radians([angle]) for key, angle in angles.items()}
+        for name, keys in (*_PLACES.items(), *_LIKELIHOODS.items()):
+            numbers = [value for key in keys if _is_number(value := row.get(key))]
+            if len(numbers) == len(keys) and (name in _PLACES or sum(numbers) > 0.0):
+                channels[name] = np.array([numbers], float)
+        assert self.angles is not None
+        found: dict[str, float] = {}
+        with np.errstate(all="ignore"):  # numbers out of range are refused later
+            for name, values in converted(channels, self.angles, self.camera, back=back).items():
+                if name in _LIKELIHOODS:
+                    found |= zip(_LIKELIHOODS[name], values[0].tolist(), strict=True)
+                else:
+                    found[f"{name}_deg"] = math.degrees(values.item())
+        return found
 
     def _value(self, key: str, value: Any) -> Any:
         if isinstance(value, list):  # revisions and forecasts are rows themselves

@@ -26,6 +26,7 @@ from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, make_forecasts_ready, times_ahead
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import AngleConvention
 from graphtrack.geometry.walkable import WalkableArea
 from graphtrack.inference.engines import OnlineEngine, make_online_ready, online_engine
 from graphtrack.interaction.attention import make_attention_ready
@@ -81,6 +82,7 @@ class Answers:
     bounds : limits of what is kept
     walkable, constants : as in `OnlineSmoother`
     sensors : descriptions of sensors; None: none
+    angles : convention of the angles of rows and answers; None: that of the native table
     """
 
     model: Model
@@ -95,6 +97,7 @@ class Answers:
     walkable: WalkableArea | None = None
     constants: Known = None
     sensors: SensorScene | None = None
+    angles: AngleConvention | None = None
 
     @property
     def chosen_engine(self) -> str:
@@ -200,6 +203,7 @@ class Answers:
             found["constants"] = known.to_dict() if isinstance(known, Population) else known
         found |= {} if self.walkable is None else {"walkable": self.walkable.digest()}
         found |= {} if self.sensors is None else {"sensors": digest_of(self.sensors)}
+        found |= {} if self.angles is None else {"angles": str(self.angles)}
         return found | ({} if self.asked is None else self.asked.settings())
 
     def warm_up(self, *, detections: bool) -> None:
@@ -275,6 +279,7 @@ def track_stream(
         If standard input or output is closed, or the state cannot be used or kept.
     """
     stream = open_streams()
+    names = names.with_angles(answers.angles, answers.camera)
     answers.warm_up(detections=answers.associate == "always")
     nobody = answers.people()  # answers rows before their kind is known
 
@@ -298,7 +303,7 @@ def track_stream(
         if saved is None:
             incoming = lines_of(stream, 1)
             lines, names = names.beginning(incoming, refuse, listener.note)
-            lines = names.native_lines(lines)
+            lines = names.native_lines(lines, listener.note)
         else:
             names = names.going_on(saved)
         are_detections = {"never": False, "always": True}.get(answers.associate)
@@ -322,7 +327,7 @@ def track_stream(
             restore = answers.restored_scene if are_detections else answers.restored_person
             _go_on(saving, people, restore, listener, emit)
             incoming = lines_of(stream, people.line + 1)
-            lines = names.native_lines(incoming)
+            lines = names.native_lines(incoming, listener.note)
         rows, wrong = _answer(lines, people, saving, listener, emit, _is_here(incoming))
         if saving is not None:
             saving.finish()

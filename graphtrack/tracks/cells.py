@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.conventions import AngleConvention
 from graphtrack.tracks.display import listed, shortened
 from graphtrack.tracks.schema import TEXTS, is_column, repeated, unknown
 from graphtrack.tracks.table import (
     ANGLES,
     DEGREES,
+    IN_DEGREES,
     LENGTHS,
     TRUE_DEGREES,
     AsRead,
@@ -69,12 +71,14 @@ class Layout:
     time_unit : of numbers in the column of times; "iso" for text; None: seconds, or ISO 8601
     units : unit of length
     crs : coordinate reference system; None: a ground in ``units``, and for degrees WGS 84
+    angles : convention of angles, kept with the rows, whose angles are not converted yet; None: native
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     time_unit: str | None = None
     units: str | None = None
     crs: str | None = None
+    angles: AngleConvention | None = None
 
     def __post_init__(self) -> None:
         if self.time_unit is not None:
@@ -586,6 +590,8 @@ def rows_of_cells(
     if names and "label" not in columns:
         columns["label"] = np.array([names.get(k, "") for k in columns["track_id"].tolist()], dtype=object)
     plane = _on_the_ground(columns, cells, named, layout, reference, notes)
+    if layout.angles is not None and layout.angles.unit == "rad":
+        columns |= {key: np.rad2deg(columns[key]) for key in IN_DEGREES if key in columns}
     for key, native in ANGLES.items():
         if key in columns:
             columns[native] = np.rad2deg(columns.pop(key))
@@ -612,7 +618,7 @@ def rows_of_cells(
     kept = {key: name for key, name in layout.columns.items() if name in used}
     if wide:
         kept = {key: name for key, name in kept.items() if key not in layout.wild and name != IDENTITY}
-    as_read = AsRead(kept, time, layout.metre, names, plane)
+    as_read = AsRead(kept, time, layout.metre, names, plane, angles=layout.angles)
     return replace(rows, as_read=None if as_read == AsRead() else as_read, refused=cells.refused)
 
 

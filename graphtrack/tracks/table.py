@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import UNPLACED, AngleConvention, converted
 from graphtrack.tracks.display import listed
 from graphtrack.tracks.schema import (
     INTEGERS,
@@ -56,6 +57,9 @@ TRUE_DEGREES = ("true_lat", "true_lon")
 ANGLES = {"body_rad": "body_deg", "head_rad": "head_deg"}
 """Columns in radians → the columns of the native table that they replace."""
 
+IN_DEGREES = ("body_deg", "head_deg", "body_axis_deg", "true_body_deg", "true_head_deg")
+"""Columns of angles, in degrees unless the convention of a file has radians."""
+
 
 @dataclass(frozen=True)
 class AsRead:
@@ -69,6 +73,7 @@ class AsRead:
     names : track id → identity, where identities are text
     plane : projection of geographic coordinates; None: positions on a local ground
     frame : the name of the frame of reference, of a ROS 2 recording
+    angles : convention of its angles; None: that of the native table
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -77,6 +82,7 @@ class AsRead:
     names: Mapping[int, str] = field(default_factory=dict)
     plane: Plane | None = None
     frame: str = ""
+    angles: AngleConvention | None = None
 
     def without_identities(self) -> AsRead:
         """Return a copy for identities that differ from those of the file."""
@@ -91,7 +97,7 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
 
     Parameters
     ----------
-    columns : of the native table
+    columns : of the native table, with angles of the file's convention
     as_read : None: the columns are unchanged
     """
     if as_read is None:
@@ -107,6 +113,8 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
     for key, native in ANGLES.items():
         if key in as_read.columns and native in found:
             found = {key if n == native else n: np.deg2rad(v) if n == native else v for n, v in found.items()}
+    if as_read.angles is not None and as_read.angles.unit == "rad":
+        found |= {key: np.deg2rad(found[key]) for key in IN_DEGREES if key in found}
     taken = {as_read.columns[key] for key in found if key in as_read.columns}
     return {
         as_read.columns.get(key, key): values
@@ -302,6 +310,23 @@ class Rows:
             sensor=None if self.sensor is None else self.sensor[rows],
             line_of=lambda i: line_of(int(rows[i])),
         )
+
+    def with_headings(self) -> Rows:
+        """Return the rows with the angles of their file's convention as headings."""
+        convention = None if self.as_read is None else self.as_read.angles
+        if convention is None:
+            return self
+        found = converted(self.channels, convention, self.camera)
+        lost = {
+            name: int((np.isnan(angles) & np.isfinite(self.channels[name])).sum())
+            for name, angles in found.items()
+        }
+        notes = [
+            f"{count} angles ({name}) of rows without a position were not used: {UNPLACED}"
+            for name, count in lost.items()
+            if count
+        ]
+        return self.with_channels(**found).with_notes(f"angles were read {convention}", *notes)
 
     def with_times(self, fps: float) -> Rows:
         """Return the rows with times from the frame numbers at ``fps`` frames a second."""

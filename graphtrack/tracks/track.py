@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.conventions import converted
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
 
@@ -505,7 +506,7 @@ class TrackSet:
         """
         import pandas as pd
 
-        return pd.DataFrame(restored(to_columns(self), self.as_read if as_read else None))
+        return pd.DataFrame(columns_as_read(self) if as_read else to_columns(self))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
@@ -639,6 +640,21 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
         labels = [track.label for track in tracks]
         columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
     return columns
+
+
+def columns_as_read(tracks: TrackSet) -> dict[str, Any]:
+    """Return the columns of all tracks under the names, in the units and the convention of their file."""
+    convention = None if tracks.as_read is None else tracks.as_read.angles
+    if convention is not None:
+
+        def in_file(track: Track) -> Track:
+            turned = object.__new__(Track)  # angles of valid tracks are valid: checking takes a millisecond
+            angles = converted(vars(track), convention, tracks.camera, back=True)
+            vars(turned).update({**vars(track), **angles})
+            return turned
+
+        tracks = tracks.map(in_file)
+    return restored(to_columns(tracks), tracks.as_read)
 
 
 def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:

@@ -172,7 +172,7 @@ def boxes_of(path: Path, format: str | None, options: ReadOptions) -> PersonBoxe
     """
     if path.is_dir():
         return _of_report(path)
-    if options.layout() is not None:
+    if options.layout() is not None or options.angle_convention is not None:
         return None
     rows = boxes_of_file(path, format, options)
     if rows is None or not rows.has_identity:

@@ -12,12 +12,11 @@ from scipy import stats
 from walks import rotation
 
 import graphtrack as gt
-from graphtrack.constants.declared import declared_noise, shared_offset, turned
+from graphtrack.constants.declared import declared_noise
 from graphtrack.constants.filters import OUTLIERS, PERSISTENCE, Persistent, motion_evidence
 from graphtrack.constants.noise import undeclared, with_learned_noise, with_offset
 from graphtrack.constants.population import DENSITIES, Population
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.tracks.track import Track, TrackSet
@@ -336,44 +335,6 @@ def test_gross_errors_do_not_count_as_noise() -> None:
         return replace(track, position=track.position + off[:, None] * rng.normal(0.0, 2.0, (len(track), 2)))
 
     assert declared_noise(people(3).map(spoilt), MODEL).lines() == []
-
-
-def walkers(seed: int, n: int = 14) -> TrackSet:
-    """People who go straight, each in another direction, and face their direction of travel."""
-    rng, tracks = np.random.default_rng(seed), []
-    t = 0.1 * np.arange(40)
-    for m in range(n):
-        way = rng.uniform(-np.pi, np.pi)
-        position = 1.3 * t[:, None] * [np.cos(way), np.sin(way)] + 0.05 * rng.normal(size=(40, 2))
-        angles = {name: wrap(way + rng.vonmises(0.0, 4.0, 40)) for name in ("body", "head")}
-        tracks.append(Track(m, np.arange(40), t, position, **angles))
-    return TrackSet(tuple(tracks))
-
-
-def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
-    off = walkers(0).map(lambda track: replace(track, **turned(track, "body", np.radians(30.0))))
-    noise = declared_noise(off, MODEL)
-    body = next(one for one in noise.channels if one.name == "body")
-    assert np.degrees(body.turn) == pytest.approx(30.0, abs=3.0)
-    assert any(line.startswith("body") and "to the left" in line for line in noise.lines())
-    mended, _ = noise.corrected(off, MODEL)
-    (again,) = (one for one in declared_noise(mended, MODEL).channels if one.name == "body")
-    assert again.turn == 0.0 and not any(one.turn for one in noise.channels if one.name == "head")
-
-
-def test_gaits_of_their_own_are_no_bias() -> None:
-    """The interval of an offset that is shared holds it."""
-    rng = np.random.default_rng(5)
-    found = [shared_offset(wrap(0.5 + 0.2 * rng.normal(size=20))) for _ in range(100)]
-    assert sum(one.low < 0.5 < one.high for one in found) >= 97
-
-    def own(track: Track) -> Track:
-        by = np.random.default_rng(track.track_id).uniform(-np.pi, np.pi)
-        return replace(track, **turned(track, "body", by))
-
-    assert not any(one.turn for one in declared_noise(walkers(1).map(own), MODEL).channels)
-    few = walkers(2, 5).map(lambda track: replace(track, **turned(track, "body", 0.6)))
-    assert not any(one.turn for one in declared_noise(few, MODEL).channels)
 
 
 def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
