@@ -271,4 +271,4 @@ class ReadOptions:
         if self.columns is None and not any(declared):
             return None
         assert not isinstance(self.columns, str)
-        return Layout(self.columns or {}, *declared)
+        return Layout(self.columns or {}, *declared, exclusive=self.columns is not None)

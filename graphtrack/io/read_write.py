@@ -158,6 +158,8 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
     """Return the rows of a table's cells, in metres and with times; ``strict``: see `rows_of_cells`."""
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
     layout = found.layout()
+    if layout is not None and options.columns is None:
+        layout = replace(layout, exclusive=False)  # the names are well-known ones
     try:
         rows = rows_of_cells(
             cells,
@@ -322,11 +324,11 @@ def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
 
 
 def _cells(source: Source, chosen: Format, options: ReadOptions) -> Cells:
-    layout = options.layout()
-    if layout is not None and layout.by_number and chosen is not CSV:
-        raise source.fail("numbers for columns", "their names")
     assert chosen.cells is not None
-    return chosen.cells(source, options)
+    cells, layout = chosen.cells(source, options), options.layout()
+    if layout is not None and layout.by_number and not (cells.numbered or layout.of_names(cells.columns)):
+        raise source.fail("numbers for columns", "their names")
+    return cells
 
 
 def write(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.schema import TEXTS, is_column, repeated, unknown
+from graphtrack.tracks.schema import COMMON_NAMES, ESTIMATED, TEXTS, is_column, repeated, unknown
 from graphtrack.tracks.table import (
     ANGLES,
     DEGREES,
@@ -55,6 +56,9 @@ if TYPE_CHECKING:
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of each unit of length."""
 
+KEYS = ("track_id", "frame", "t", "x", "y", "lat", "lon", "u", "v")
+"""Meanings of columns that a table must have if its reader names them."""
+
 WILD = "*"
 """Placeholder of the identity in a column's name, for tables with columns for each person."""
 
@@ -69,12 +73,14 @@ class Layout:
     time_unit : of numbers in the column of times; "iso" for text; None: seconds, or ISO 8601
     units : unit of length
     crs : coordinate reference system; None: a ground in ``units``, and for degrees WGS 84
+    exclusive : whether columns of `COMMON_NAMES` that are not named are ignored
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     time_unit: str | None = None
     units: str | None = None
     crs: str | None = None
+    exclusive: bool = False
 
     def __post_init__(self) -> None:
         if self.time_unit is not None:
@@ -93,6 +99,10 @@ class Layout:
     def by_number(self) -> bool:
         """Return whether columns are numbered from 1, as in a table without a header."""
         return bool(self.columns) and all(name.isdecimal() for name in self.columns.values())
+
+    def of_names(self, names: Collection[str]) -> bool:
+        """Return whether a header has native names: the file was written after a reading by numbers."""
+        return not self.columns.keys().isdisjoint(names)
 
     @property
     def wild(self) -> dict[str, str]:
@@ -130,6 +140,7 @@ class Cells:
     zones : name → time zone of a column of dates; they are in UTC
     refused : reason → number of rows that were left out
     floats : (name) → (n,) numbers of a column of text, by a faster way, or None if a cell needs the slow one
+    numbered : whether columns have numbers for names, since the file has no header
     """
 
     path: Path
@@ -139,6 +150,7 @@ class Cells:
     zones: Mapping[str, str] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
     floats: Callable[[str], FloatArray | None] = lambda name: None
+    numbered: bool = False
 
     def fail(
         self, found: str, expected: str, row: int | None = None, column: str | None = None
@@ -302,6 +314,15 @@ def is_empty(cell: object) -> bool:
     return isinstance(differs, bool | np.bool_) and bool(differs)
 
 
+EMPTY_WORDS = ("na", "nan", "-nan", "null", "none", "n/a", "#n/a", "<na>")
+"""Words, in lower case, that R, MATLAB, pandas and spreadsheets write for an empty cell of a number."""
+
+
+def is_missing(cell: object) -> bool:
+    """Return whether a cell of a column of numbers is empty, or has a word for that."""
+    return is_empty(cell) or (isinstance(cell, str) and cell.strip().lower() in EMPTY_WORDS)
+
+
 def _is_real(cell: object) -> bool:
     """Return whether a cell is a finite number, and not text, true or false, or a container."""
     if isinstance(cell, str | bool) or not hasattr(cell, "__float__") or getattr(cell, "shape", ()) != ():
@@ -342,7 +363,7 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
     found = np.empty(len(values))
     for row, cell in enumerate(values.tolist()):
         value: float | None = None
-        if is_empty(cell):
+        if is_missing(cell):
             value = math.nan
         elif isinstance(cell, str):
             value = parse_number(cell)
@@ -360,7 +381,7 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
 def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     """Return identities (n,) as whole numbers, NaN where a cell is empty, and track id → text for text.
 
-    Whole numbers are kept; text is numbered from 1 in the order of appearance.
+    Whole numbers, 1.0 among them, are kept; text is numbered from 1 in the order of appearance.
     """
     values = cells.columns[name]
     if values.dtype.kind in "iuf":
@@ -376,9 +397,10 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
             found = f"the {'text' if is_text else 'number'} {str(cell)[:_LONGEST]!r} after "
             found += f"the {'number' if is_text else 'text'} {str(known[0][1])[:_LONGEST]!r}"
             raise cells.fail(found, "identities of one kind", row, name)
-    if not known or not text[0] or all(_is_integer(cell) for _, cell in known):
+    integers = [(row, cell) for row, cell in known if not is_missing(cell)]
+    if not known or not text[0] or (integers and all(_is_integer(cell) for _, cell in integers)):
         numbered = np.full(len(values), np.nan)
-        numbered[[row for row, _ in known]] = [float(cell) for _, cell in known]
+        numbered[[row for row, _ in integers]] = [float(cell) for _, cell in integers]
         return numbered, {}
     for row, cell in known:
         if not is_unicode(cell):
@@ -399,11 +421,19 @@ def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, s
 
 
 def _is_integer(text: str) -> bool:
-    """Return whether a text is a whole number that reads back to the same text: 007 is a name."""
-    digits = text.strip().removeprefix("-")
-    if not (digits.isdecimal() and digits.isascii()) or len(digits) > 16:
-        return False
-    return str(int(text)) == text.strip() and abs(int(text)) <= LARGEST_ID
+    """Return whether a text is a whole number, perhaps with a point and zeros: 007 is a name."""
+    return _WHOLE.fullmatch(text.strip()) is not None and abs(float(text)) <= LARGEST_ID
+
+
+_WHOLE = re.compile(r"-?(0|[1-9]\d{0,15})(\.0*)?", re.ASCII)
+
+
+def _begins_with_text(cells: Cells, name: str) -> bool:
+    """Return whether the first cell of a column that is not empty is text, and no number."""
+    values = cells.columns[name]
+    known = (cell for cell in values.tolist() if not is_missing(cell)) if values.dtype.kind == "O" else ()
+    first = next(iter(known), None)
+    return isinstance(first, str) and parse_number(first) is None
 
 
 def times(
@@ -562,9 +592,15 @@ def rows_of_cells(
     layout : meaning of the columns; unnamed columns with names of the native table are read as native
     fps : frames a second, for a table without times
     reference : layout of another table with the same origins of time and position
-    strict : whether the table has to be native: identities and times are numbers, and frames are not numbered
+    strict : whether the table has to be native: times are numbers, identities too unless the first is text,
+        and frames are not numbered
     """
     wide = bool(layout.wild)
+    if layout.by_number and not cells.numbered and layout.of_names(cells.columns):
+        layout = replace(layout, columns={key: key for key in layout.columns})
+    if set(cells.columns) >= ESTIMATED:  # estimates lack the columns that their model did not use
+        there = {key: name for key, name in layout.columns.items() if name in cells.columns or key in KEYS}
+        layout = replace(layout, columns=there)
     cells, layout = long(cells, layout)
     named = _named(cells, layout)
     notes: list[str] = []
@@ -572,7 +608,7 @@ def rows_of_cells(
     names: dict[int, str] = {}
     time = None
     for key, name in named.items():
-        if key == "track_id" and not strict:
+        if key == "track_id" and (not strict or _begins_with_text(cells, name)):
             columns[key], names = identities(cells, name)
         elif key in TEXTS:
             columns[key] = labels(cells, name)
@@ -595,6 +631,9 @@ def rows_of_cells(
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
     ignored = unknown(name for name in cells.columns if name not in used and name != IDENTITY)
+    unnamed = [name for name in COMMON_NAMES if name in cells.columns and name not in used]
+    if unnamed:
+        notes.append(f"columns {listed(unnamed)} were not read: --columns does not name them")
     try:
         rows = from_columns(
             columns,
@@ -605,13 +644,18 @@ def rows_of_cells(
             fail=cells.fail,
             ignored=ignored,
             notes=tuple(notes),
+            names=names,
         )
     except InputError as error:
         column = error.column
         raise error.at(column=named.get(column, column) if isinstance(column, str) else column) from None
     kept = {key: name for key, name in layout.columns.items() if name in used}
+    if cells.numbered:  # it is written with a header
+        kept = {key: key for key in kept}
     if wide:
         kept = {key: name for key, name in kept.items() if key not in layout.wild and name != IDENTITY}
+    if names:
+        kept.setdefault("track_id", "track_id" if wide else named["track_id"])
     as_read = AsRead(kept, time, layout.metre, names, plane)
     return replace(rows, as_read=None if as_read == AsRead() else as_read, refused=cells.refused)
 
@@ -646,6 +690,9 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
     for pair, metres in _PAIRS.items():
         if degrees:
             meant |= {*metres} if pair == DEGREES else set()
+    if layout.exclusive and not set(cells.columns) >= ESTIMATED:
+        meant |= set(COMMON_NAMES)
+        meant |= {"u", "v"} if meant & {"x", "lat"} else set()
     for name in cells.columns:
         of_truth = degrees and name in TRUE_DEGREES
         if (is_column(name) or of_truth) and name not in meant and name not in named.values():

@@ -126,6 +126,12 @@ TEXTS = ("sensor", "label")
 NAMES = (*INTEGERS, *BY_NAME, *TEXTS)
 """All columns of the native table except inputs, in the order of writing."""
 
+COMMON_NAMES = ("label", "score", "observed", "vx", "vy")
+"""Columns whose names other programs use for other things: with ``--columns`` only those named are read."""
+
+ESTIMATED = frozenset(("x_std", "y_std", "vx_std", "vy_std"))
+"""Columns of all estimates; a table that has them was written by this package."""
+
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
 """Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
 

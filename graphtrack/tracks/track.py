@@ -239,7 +239,7 @@ class Track:
             )
         place = bounds_of(name).first_outside(value)
         if place is not None:
-            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
+            raise out_of_bounds(name, value[place], self.frame[place[0]], f"track {self.track_id}")
         return value
 
     def _checked_inputs(self) -> dict[str, FloatArray]:

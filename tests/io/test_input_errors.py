@@ -54,7 +54,8 @@ def test_what_is_no_finite_number(sample: Sample, tmp_path: Path) -> None:
     path = sample.write(tmp_path)
     data, number = path.read_bytes(), re.search(rb"[\d.]+", sample.number)
     assert number
-    for text in ("nan", "NaN", "inf", "-Infinity", "abc", "1_0", "0x10", "1e999", "\u0663"):
+    words = () if sample.format in ("csv", "ndjson") else ("nan", "NaN")  # empty cells of a table
+    for text in (*words, "inf", "-Infinity", "abc", "1_0", "0x10", "1e999", "\u0663"):
         worse = sample.number.replace(number[0], text.encode(), 1)
         path.write_bytes(data.replace(sample.number, worse, 1))
         error = refused(path)
