@@ -178,6 +178,16 @@ def _header(head: bytes) -> set[str]:
     return {cell.strip().strip('"') for cell in first.split(",")}
 
 
+_OF_VICON = re.compile(
+    rb"\s*[A-Z][A-Za-z ]{4,20},*\r?\n\d+(\.\d+)?[,\t]*\r?\n[^\n]*\r?\nFrame[,\t]Sub Frame[,\t]"
+)
+
+
+def _is_vicon(head: bytes) -> bool:
+    """Return whether a file begins with a section, its rate, a row of names and Frame, Sub Frame."""
+    return _OF_VICON.match(head.removeprefix(_MARK)) is not None
+
+
 def _is_caviar(head: bytes) -> bool:
     return b"<dataset" in head and head.removeprefix(_MARK).lstrip().startswith(b"<")
 
@@ -218,6 +228,9 @@ SIGNATURES: Mapping[str, Callable[[bytes], bool]] = MappingProxyType(
         "ndjson": lambda head: mostly(head, lambda line: line.startswith("{")),
         "movement": lambda head: head.removeprefix(_MARK).startswith((HDF5, *CLASSIC, DEEPLABCUT)),
         "jupedsim": lambda head: head.startswith(SQLITE),
+        "motive": lambda head: head.removeprefix(_MARK).startswith(b"Format Version,"),
+        "vicon": _is_vicon,
+        "qualisys": lambda head: head.removeprefix(_MARK).startswith(b"NO_OF_FRAMES"),
         "mocap": lambda head: _header(head) >= {*MOCAP_COLUMNS},
         "csv": lambda head: len(_header(head) & {*NAMES}) >= 2,
         "caviar": _is_caviar,
