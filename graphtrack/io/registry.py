@@ -67,7 +67,10 @@ HOMES: Mapping[str, str] = MappingProxyType(
         "bag": "formats.ros_reading:BAG",
         "geopackage": "libraries:GEOPACKAGE",
         "geoparquet": "libraries:GEOPARQUET",
-        "coco": "formats.mot:COCO",
+        "coco": "formats.boxes:COCO",
+        "json": "formats.boxes:JSON",
+        "yolo": "formats.boxes:YOLO",
+        "sdd": "formats.boxes:SDD",
         "trajnet": "formats.eth_ucy:TRAJNET",
         "ndjson": "formats.ndjson:NDJSON",
         "movement": "formats.movement:MOVEMENT",
@@ -80,7 +83,7 @@ HOMES: Mapping[str, str] = MappingProxyType(
         "ucy": "formats.eth_ucy:UCY",
         "kitti": "formats.kitti:KITTI",
         "salsa": "formats.salsa:SALSA",
-        "towncentre": "formats.towncentre:TOWNCENTRE",
+        "towncentre": "formats.mot:TOWNCENTRE",
         "pedpy": "formats.pedpy:PEDPY",
         "mot2d": "formats.mot:MOT_2D",
         "mot": "formats.mot:MOT",
@@ -118,8 +121,6 @@ def detect(source: Source) -> Format:
     for candidate in all_formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
-    if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
-        raise source.fail("a JSON list", "one JSON object a line, each a row (.ndjson)")
     is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +17,17 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.schema import COMMON_NAMES, ESTIMATED, TEXTS, is_column, repeated, unknown
+from graphtrack.tracks.schema import (
+    BOX_KEYS,
+    BOXES,
+    CLASS,
+    COMMON_NAMES,
+    ESTIMATED,
+    TEXTS,
+    is_column,
+    repeated,
+    unknown,
+)
 from graphtrack.tracks.table import (
     ANGLES,
     DEGREES,
@@ -158,6 +169,20 @@ class Cells:
         """Return the error for a cell, a row (from 0), a column, or the whole table."""
         line = None if row is None else self.line_of(row)
         return InputError(found, expected, path=self.path, line=line, column=column)
+
+    def keep(self, mask: NDArray[np.bool_], reason: str) -> Cells:
+        """Return the rows where the mask (n,) holds; others are counted as refused for the reason."""
+        if mask.all():
+            return self
+        rows, line_of, columns = np.flatnonzero(mask), self.line_of, self.columns
+        refused = dict(Counter(self.refused) + Counter({reason: int(len(mask) - len(rows))}))
+        return replace(
+            self,
+            columns=Columns(list(columns), lambda name: columns[name][rows]),
+            line_of=lambda row: line_of(int(rows[row])),
+            refused=refused,
+            floats=lambda name: None,
+        )
 
     def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
         """Raise InputError for the first cell of a column that is wrong (n,), if there is one."""
@@ -612,6 +637,8 @@ def rows_of_cells(
             columns[key], names = identities(cells, name)
         elif key in TEXTS:
             columns[key] = labels(cells, name)
+        elif key == CLASS:
+            continue
         elif key == "t" and (key in layout.columns or _has_moments(cells, name, layout, strict)):
             columns[key], time, time_notes = times(
                 cells, name, layout.time_unit, None if reference is None else reference.time
@@ -621,6 +648,7 @@ def rows_of_cells(
             columns[key] = numbers(cells, name)
     if names and "label" not in columns:
         columns["label"] = np.array([names.get(k, "") for k in columns["track_id"].tolist()], dtype=object)
+    box = _boxes(columns)
     plane = _on_the_ground(columns, cells, named, layout, reference, notes)
     for key, native in ANGLES.items():
         if key in columns:
@@ -654,6 +682,9 @@ def rows_of_cells(
         kept = {key: key for key in kept}
     if wide:
         kept = {key: name for key, name in kept.items() if key not in layout.wild and name != IDENTITY}
+    if box is not None:
+        rows = rows.with_channels(**box)
+        kept = {key: name for key, name in kept.items() if key not in BOX_KEYS}
     if names:
         kept.setdefault("track_id", "track_id" if wide else named["track_id"])
     as_read = AsRead(kept, time, layout.metre, names, plane)
@@ -690,6 +721,11 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
     for pair, metres in _PAIRS.items():
         if degrees:
             meant |= {*metres} if pair == DEGREES else set()
+    placed = {"x", "u", DEGREES[0]}
+    if not placed & {*named, *cells.columns} - ({"u"} & meant):
+        for name in BOX_KEYS if layout.exclusive else (*BOX_KEYS, "confidence", CLASS):
+            if name in cells.columns and name not in meant and name not in named.values():
+                named[name] = name
     if layout.exclusive and not set(cells.columns) >= ESTIMATED:
         meant |= set(COMMON_NAMES)
         meant |= {"u", "v"} if meant & {"x", "lat"} else set()
@@ -698,6 +734,31 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
         if (is_column(name) or of_truth) and name not in meant and name not in named.values():
             named[name] = name
     return named
+
+
+def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
+    """Replace the columns of boxes by those of their foot points; return the channels of boxes.
+
+    The channels are ``box`` (n, 4), left, top, width and height in pixels, and ``confidence`` (n,), −1 where
+    it is not known.
+    """
+    given = {key: columns.pop(key) for key in BOX_KEYS if key in columns}
+    confidence = columns.pop("confidence", None)
+    form = next((form for form in BOXES if set(form) <= given.keys()), None)
+    if form is None or {"x", "u", DEGREES[0]} & columns.keys():
+        return None
+    first, second, third, fourth = (given[key] for key in form)
+    if "right" in form:
+        third, fourth = third - first, fourth - second
+    if "center_x" in form:
+        first, second = first - third / 2.0, second - fourth / 2.0
+    box = np.column_stack([first, second, third, fourth])
+    box[np.isnan(box).any(axis=1)] = np.nan
+    columns["u"], columns["v"] = box[:, 0] + box[:, 2] / 2.0, box[:, 1] + box[:, 3]
+    if "track_id" in columns:
+        columns["track_id"] = np.nan_to_num(columns["track_id"], nan=-1.0)
+    sure = np.full(len(box), -1.0) if confidence is None else np.nan_to_num(confidence, nan=-1.0)
+    return {"box": box, "confidence": sure}
 
 
 def labels(cells: Cells, name: str) -> NDArray[Any]:

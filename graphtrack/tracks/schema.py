@@ -133,7 +133,15 @@ ESTIMATED = frozenset(("x_std", "y_std", "vx_std", "vy_std"))
 """Columns of all estimates; a table that has them was written by this package."""
 
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
-"""Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
+"""Columns that a tracker on pixels writes next to those of a track; read where there is no position."""
+
+BOXES = (BOX_COLUMNS[:4], ("left", "top", "right", "bottom"), ("center_x", "center_y", "width", "height"))
+"""Columns of a box in pixels, in any of its forms."""
+
+BOX_KEYS = tuple(dict.fromkeys(name for form in BOXES for name in form))
+
+CLASS = "class"
+"""Column of the class of what was detected; it is no attribute of a track."""
 
 TILT_COLUMN = "head_tilt_deg"
 """A further such column, of trackers of heads: degrees above the horizontal."""

@@ -377,7 +377,7 @@ def _check_bounds(rows: Rows) -> None:
 
 def no_camera(rows: Rows) -> InputError:
     """Return the error for rows with pixels alone and no camera or scale."""
-    expected = "x, y, or a homography or point pairs as well"
+    expected = "x, y, or a homography, point pairs, a calibration or metres per pixel as well"
     return InputError("pixels u, v and no camera", expected, path=rows.path)
 
 

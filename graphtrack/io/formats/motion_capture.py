@@ -394,11 +394,11 @@ def _people_of_markers(take: Take, ground: FloatArray) -> dict[str, _Person]:
         mark = name.rfind(":") if ":" in name else name.find("_") if by_prefix else -1
         of_person.setdefault(name[: max(mark, 0)], {})[name[mark + 1 :]] = points @ ground
     found: dict[str, _Person] = {}
-    for person, points in of_person.items():
-        keypoints = _keypoints(points)
+    for person, markers in of_person.items():
+        keypoints = _keypoints(markers)
         if len(keypoints) < 2:
             found |= {
-                f"{person}{':' if person else ''}{label}": _Person(one) for label, one in points.items()
+                f"{person}{':' if person else ''}{label}": _Person(one) for label, one in markers.items()
             }
             continue
         names = list(keypoints)
