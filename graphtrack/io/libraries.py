@@ -136,8 +136,8 @@ def checked_boxes(rows: Rows, options: ReadOptions) -> Rows:
     """
     if "box" not in rows.channels:
         return rows
-    rows = rows.keep(np.isfinite(rows.channels["box"]).all(axis=1), NO_BOX)
-    rows = rows.keep((rows.channels["box"][:, 2:] > 0.0).all(axis=1), NO_SIZE)
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["box"]).all(axis=1)), NO_BOX)
+    rows = rows.keep(np.asarray((rows.channels["box"][:, 2:] > 0.0).all(axis=1)), NO_SIZE)
     if rows.has_identity and options.associate in ("auto", "never"):
         rows = rows.keep(rows.track_id != -1, NOT_FOLLOWED)
     box = rows.channels["box"]

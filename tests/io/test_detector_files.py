@@ -38,7 +38,7 @@ def boxes(names: dict[str, str], *, frames: bool = True) -> pd.DataFrame:
                 "class": kind,
                 "confidence": 0.75,
             }
-            one |= {"center_x": left + 30.0, "center_y": top + 75.0, "id": who, "frame": k}
+            one |= {"center_x": one["left"] + 30.0, "center_y": one["top"] + 75.0, "id": who, "frame": k}
             one |= {"time": k / 10.0}
             rows.append({name: one[key] for key, name in names.items()})
     return pd.DataFrame(rows)
@@ -270,5 +270,7 @@ def test_boxes_of_tables_are_scored_in_the_image(tmp_path: Path) -> None:
     shifted = table.assign(frame=table.frame + 1)
     shifted.to_csv(tmp_path / "one.csv", index=False)
     found = gt.score(tmp_path / "one.csv", tmp_path / "truth.txt", iou=0.5)
-    assert found.combined.idf1 == 1.0
-    assert gt.score(tmp_path / "boxes.csv", tmp_path / "truth.txt", iou=0.5).combined.idf1 < 1.0
+    assert found.together.idf1 == 1.0
+    assert not found.notes
+    zero = gt.score(tmp_path / "boxes.csv", tmp_path / "truth.txt", iou=0.9)  # counted from 0
+    assert zero.together.idf1 < 1.0 and "begin at 0 and those of the truth at 1" in zero.notes[0]

@@ -191,7 +191,8 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
     number = table.integers(7)
     if (number < 1).all():  # −1: a result without classes; 0: people, of a detector whose classes begin there
         return rows
-    known, wanted = _CLASSES, set(options.classes)
+    known: tuple[str, ...] = _CLASSES
+    wanted = set(options.classes)
     if table.values.shape[1] == 10:
         from_zero = (table.values[:, 8:] == -1.0).all()
         known = ("Pedestrian",) if from_zero else _VISDRONE
