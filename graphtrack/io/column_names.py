@@ -91,6 +91,9 @@ _WORDS = re.compile(r"[^\W_]+")
 READ_AS = "read column"
 """Beginning of the note that names the columns that were read by their well-known names."""
 
+UNREAD_IDENTITY = "may be an identity and was not read"
+"""Part of the note on a column whose name is proposed, and not read automatically."""
+
 UNSURE_UNIT = (
     "times were read as seconds, though they lie 5 and more apart: --time-unit ms if they are milliseconds"
 )
@@ -109,7 +112,7 @@ def plain(name: str) -> tuple[str, str]:
     unit = unit.lower()
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", outside)  # agentId: agent Id
     words = [word.lower() for word in _WORDS.findall(spaced)]
-    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES):
+    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES or words[-1] in PIXELS):
         unit = words.pop()
     return "".join(words), unit
 
@@ -180,6 +183,59 @@ def _patterns(name: str, start: int, end: int) -> list[str]:
         mark = "" if before[-1].isalnum() else before[-1]
         patterns.append(f"{WILD}{mark}{name[start:end]}")
     return patterns
+
+
+_IN_IMAGE = ("px", "pixel", "pix", "image", "img", "pixels")
+
+
+def pixel_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return u and v → name of the columns of positions that their names call pixels; none without both.
+
+    px and py are pixels, unless a column pz shows them to be a position in space.
+    """
+    known = {name: plain(name) for name in names}
+    words = {word for word, _ in known.values()}
+    found: dict[str, str] = {}
+    for key, axis in (("u", "x"), ("v", "y")):
+        of_axis = {*SYNONYMS[axis], *_POSSIBLE[axis].split(), axis} - {f"p{axis}"}
+        fitting = {
+            key,
+            *(f"{mark}{axis}" for mark in _IN_IMAGE[1:]),
+            *(f"{axis}{mark}" for mark in _IN_IMAGE),
+        }
+        fitting |= set() if "pz" in words else {f"p{axis}"}
+        for name, (word, unit) in known.items():
+            if word in fitting or (word in of_axis and unit in PIXELS):
+                found.setdefault(key, name)
+    return found if len(found) == 2 else {}
+
+
+_ANGLES = dict.fromkeys(("deg", "degree", "degrees", "°"), "deg")
+_ANGLES |= dict.fromkeys(("rad", "radian", "radians"), "rad")
+_OF_ANGLES: Mapping[str, tuple[str, ...]] = {
+    "head": ("head", "gaze", "face", "look"),
+    "body": ("body", "torso", "shoulder", "", "person"),
+}
+_TURNED = ("angle", "yaw", "orientation", "heading", "direction", "theta", "rotation", "dir", "ori")
+
+
+def angle_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return head and body → name of the columns of their orientations."""
+    found: dict[str, str] = {}
+    for name in names:
+        word = plain(name)[0]
+        unit = next((one for one in _ANGLES if word.endswith(one) and one != word), "")
+        word = word.removesuffix(unit)
+        for part, prefixes in _OF_ANGLES.items():
+            if word in {f"{prefix}{turned}" for prefix in prefixes for turned in _TURNED} | {*prefixes[:2]}:
+                found.setdefault(part, name)
+    return found
+
+
+def angle_unit(name: str) -> str:
+    """Return deg or rad, if the name of a column of angles says so, else an empty text."""
+    word, unit = plain(name)
+    return _ANGLES.get(unit) or next((short for one, short in _ANGLES.items() if word.endswith(one)), "")
 
 
 def box_columns(names: Iterable[str]) -> dict[str, str]:
@@ -259,7 +315,7 @@ def with_synonyms(
     if "track_id" not in native | found.keys():
         like = meanings(name for name in names if not is_column(name)).get("id")
         if like is not None:
-            notes.append(f"column {shortened(like)} may be an identity and was not read: --columns id={like}")
+            notes.append(f"column {shortened(like)} {UNREAD_IDENTITY}: --columns id={like}")
     return options, tuple(notes)
 
 

@@ -5,6 +5,7 @@ A new format is a module with a constant of type `Format`, a line in `HOMES` and
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -14,7 +15,7 @@ from types import MappingProxyType
 from graphtrack.errors import InputError
 from graphtrack.io.format import Format, recognised
 from graphtrack.io.source import Source
-from graphtrack.io.text import other_delimiter
+from graphtrack.io.text import in_utf8, other_delimiter
 from graphtrack.tracks.time import is_iso
 from graphtrack.tracks.validation import parse_number
 
@@ -122,12 +123,22 @@ def detect(source: Source) -> Format:
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     is_text = b"\0" not in source.head or source.wide is not None
-    if is_text and (error := other_delimiter(source)) is not None:
+    if is_text and (error := other_delimiter(source)) is not None and _is_readable(source):
         raise error
     known = ", ".join(f.name for f in all_formats() if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
     raise source.fail("content of no known format", f"one of {known}{hint}")
+
+
+def _is_readable(source: Source) -> bool:
+    """Return whether a text with commas and decimal points in place of its own marks has a known format."""
+    marks = [mark for mark in ";\t| " if mark.encode() in source.head]
+    for mark in marks:
+        with contextlib.suppress(InputError):
+            if recognised(in_utf8(source, mark, ",", None).head, source.path) is not None:
+                return True
+    return False
 
 
 def format_for_writing(path: Path) -> Format:

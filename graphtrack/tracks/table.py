@@ -375,10 +375,13 @@ def _check_bounds(rows: Rows) -> None:
             raise out_of_bounds(name, values[place], int(rows.frame[i]), rows.person(i), **at)
 
 
+NO_PIXEL_CAMERA = "pixels u, v and no camera"
+
+
 def no_camera(rows: Rows) -> InputError:
     """Return the error for rows with pixels alone and no camera or scale."""
     expected = "x, y, or a homography, point pairs, a calibration or metres per pixel as well"
-    return InputError("pixels u, v and no camera", expected, path=rows.path)
+    return InputError(NO_PIXEL_CAMERA, expected, path=rows.path)
 
 
 def check_identities(rows: Rows) -> None:
