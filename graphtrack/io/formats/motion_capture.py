@@ -6,6 +6,7 @@ read into a `Take`; one conversion makes tracks of it.
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections import Counter
@@ -23,7 +24,7 @@ from graphtrack.io.formats.movement import SPACE_UNITS, keypoint_indices, middle
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_rows, is_blank, read_numbers
-from graphtrack.tracks.cells import EMPTY_WORDS, METRES, numbered_names
+from graphtrack.tracks.cells import EMPTY_WORDS, METRES, is_missing, numbered_names
 from graphtrack.tracks.table import AsRead, Rows
 from graphtrack.tracks.validation import FIELDS, LARGEST_SECONDS, parse_number
 
@@ -76,17 +77,24 @@ def _numbers(source: Source, mark: str, first: int, width: int) -> tuple[FloatAr
     if not lines:
         raise source.fail("a header and no rows", "at least one frame", line=first)
     text = io.StringIO("\n".join(line.rstrip(mark) for line in lines))
-    layout = {"sep": mark, "header": None, "names": range(width), "index_col": False}
+    layout = {
+        "sep": mark,
+        "header": None,
+        "names": range(width),
+        "index_col": False,
+        "quoting": csv.QUOTE_NONE,
+    }
     try:
         table = pd.read_csv(text, na_values=_MISSING, dtype=float, **layout)  # type: ignore[call-overload]
-    except ValueError:
-        row, column, cell = next(
-            (k, j, cell)
-            for k, line in enumerate(lines)
-            for j, cell in enumerate(line.split(mark))
-            if cell.strip() and cell.strip().lower() not in EMPTY_WORDS and parse_number(cell) is None
+    except ValueError as error:
+        cells = ((k, j, cell) for k, line in enumerate(lines) for j, cell in enumerate(line.split(mark)))
+        wrong = (
+            (k, j, cell.strip())
+            for k, j, cell in cells
+            if not is_missing(cell) and parse_number(cell) is None
         )
-        found = repr(cell.strip()[:40])
+        row, column, cell = next(wrong, (0, 0, str(error)))
+        found = repr(cell[:40])
         raise source.fail(found, "a finite number or an empty cell", first + row + 1, column + 1) from None
     values: FloatArray = table.to_numpy()
     if np.isinf(values).any():
@@ -144,6 +152,8 @@ def read_motive(source: Source) -> Take:
     if unit is None:
         raise source.fail(f"lengths in {settings['Length Units']}", "metres, centimetres or millimetres", 1)
     order = settings.get("Rotation Type", "Quaternion")
+    if order != "Quaternion" and sorted(order) != [*_AXES]:
+        raise source.fail(f"the rotation type {order[:40]!r}", "Quaternion, or an order such as XYZ", 1)
     if settings.get("Coordinate Space", "Global") == "Local" and "Bone" in kinds:
         raise source.fail("bones in local coordinates", "an export with the coordinate space Global", 1)
     places: dict[tuple[str, str], dict[str, dict[str, int]]] = {}
@@ -160,6 +170,9 @@ def read_motive(source: Source) -> Take:
             rotation = values[:, [found["Rotation"][axis] for axis in axes]]
             if len(axes) == 4:
                 bodies[name] = position, _quaternions(rotation, _unit_quaternions)
+            elif len(axes) != 3 or order == "Quaternion":
+                found_axes = f"a rotation {', '.join(axes)} of {name[:40]!r}"
+                raise source.fail(found_axes, "X, Y, Z and W, or three angles", head + 1)
             else:
                 by_order = rotation[:, ["XYZ".index(axis) for axis in order]]
                 bodies[name] = position, _quaternions(by_order, _of_euler(order))
@@ -258,7 +271,7 @@ def read_qualisys(source: Source) -> Take:
         words = title.rsplit(" ", 1)
         axis = words[-1].upper()
         if axis == "X":
-            name, count = words[0] if len(words) == 2 else names[count], count + 1
+            name, count = words[0] if len(words) == 2 else next(iter(names[count:]), ""), count + 1
         if name:
             places.setdefault(name, {})[axis] = k
     numbered = titles[:1] == ["Frame"]
