@@ -222,9 +222,6 @@ class MetricReading:
                 read_with(paths, self.format, named, to_tracks) if rows is None else to_tracks(rows, named)
             )
         print_summary(tracks, ", ".join(str(path) for path in paths))
-        unused = [option_name(name) for name in CAMERA if name in self.given()]
-        if unused and tracks.camera is None:
-            emit(f"  note: {', '.join(unused)} not used: the input has no pixels")
         if self.select:
             if not all(self.select):
                 expected = "a label, an id or a pattern such as '*walk*'"
@@ -248,13 +245,15 @@ class CameraReading(MetricReading):
     point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
     calibration : Camera calibration (.ci).
     metres_per_pixel : Scale of a view from above, without a homography.
-    classes : Class of object to read (KITTI, MOT); repeat for more.
+    image_size : Width and height of the images in pixels, such as 1920x1080, for boxes relative to them.
+    classes : Class of object to read, where a file has several; repeat for more.
     """
 
     homography: InputFile | None = None
     point_pairs: InputFile | None = None
     calibration: InputFile | None = None
     metres_per_pixel: float | None = None
+    image_size: Annotated[str | None, typer.Option(metavar="WxH")] = None
     classes: Annotated[list[str] | None, typer.Option("--class", metavar="NAME")] = None
 
 

@@ -251,9 +251,9 @@ def smooth(
         emit(f"  noise, learned: {noise}")
     for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
-            emit(f"  track {result.track.track_id}: {result.constants.described()}")
+            emit(f"  {tracks.person(result.track.track_id)}: {result.constants.described()}")
     for result in unconverged:
-        emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
+        emit(f"  {tracks.person(result.track.track_id)}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.html import write_html
         from graphtrack.report.page import constants_section, tracking_report
@@ -272,7 +272,7 @@ def smooth(
     if good:
         emit(f"wrote {output}")
     for failure in bad:
-        emit(f"error: track {failure.track_id}: {failure.reason}")
+        emit(f"error: {tracks.person(failure.track_id)}: {failure.reason}")
     if bad:
         raise typer.Exit(BAD_INPUT)
 

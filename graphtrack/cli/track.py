@@ -11,7 +11,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, input_warnings_as_notes, progress_bar, write_tracks
-from graphtrack.errors import NO_POSITION, InputError, SolveError
+from graphtrack.errors import NO_POSITION, InputError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
 
@@ -164,7 +164,7 @@ def track(
             f"wrote {output}"
         )
     for track_id in unseen:
-        emit(f"error: {SolveError(track_id, NO_POSITION)}")
+        emit(f"error: {tracks.person(track_id)}: {NO_POSITION}")
     if unseen:
         raise typer.Exit(BAD_INPUT)
 

@@ -126,8 +126,22 @@ TEXTS = ("sensor", "label")
 NAMES = (*INTEGERS, *BY_NAME, *TEXTS)
 """All columns of the native table except inputs, in the order of writing."""
 
+COMMON_NAMES = ("label", "score", "observed", "vx", "vy")
+"""Columns whose names other programs use for other things: with ``--columns`` only those named are read."""
+
+ESTIMATED = frozenset(("x_std", "y_std", "vx_std", "vy_std"))
+"""Columns of all estimates; a table that has them was written by this package."""
+
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
-"""Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
+"""Columns that a tracker on pixels writes next to those of a track; read where there is no position."""
+
+BOXES = (BOX_COLUMNS[:4], ("left", "top", "right", "bottom"), ("center_x", "center_y", "width", "height"))
+"""Columns of a box in pixels, in any of its forms."""
+
+BOX_KEYS = tuple(dict.fromkeys(name for form in BOXES for name in form))
+
+CLASS = "class"
+"""Column of the class of what was detected; it is no attribute of a track."""
 
 TILT_COLUMN = "head_tilt_deg"
 """A further such column, of trackers of heads: degrees above the horizontal."""

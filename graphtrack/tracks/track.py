@@ -37,6 +37,7 @@ from graphtrack.tracks.table import (
     ReadSummary,
     Rows,
     check_identities,
+    name_of,
     restored,
     sorted_rows,
 )
@@ -240,7 +241,7 @@ class Track:
             )
         place = bounds_of(name).first_outside(value)
         if place is not None:
-            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
+            raise out_of_bounds(name, value[place], self.frame[place[0]], f"track {self.track_id}")
         return value
 
     def _checked_inputs(self) -> dict[str, FloatArray]:
@@ -461,6 +462,10 @@ class TrackSet:
         if not -len(self) <= number < len(self):
             raise TrackIndexError(f"tracks[{number}] of {counted(len(self), 'track')}", _PLACE)
         return self.tracks[number]
+
+    def person(self, track_id: int) -> str:
+        """Return a person as the file names it, for messages: ``track 7``, or ``track anna``."""
+        return name_of(track_id, {} if self.as_read is None else self.as_read.names)
 
     def by_id(self, track_id: int) -> Track:
         """Return the track of an id.
