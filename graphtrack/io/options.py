@@ -285,7 +285,7 @@ class ReadOptions:
 
     @property
     def has_camera(self) -> bool:
-        """Whether a camera or a scale is given, which maps pixels to the ground."""
+        """Return whether a camera or a scale is given, which maps pixels to the ground."""
         given = (self.camera, self.homography, self.point_pairs, self.calibration, self.metres_per_pixel)
         return any(one is not None for one in given)
 

@@ -133,8 +133,8 @@ def detect(source: Source) -> Format:
 
 def _is_readable(source: Source) -> bool:
     """Return whether a text with commas and decimal points in place of its own marks has a known format."""
-    marks = [mark for mark in ";\t| " if mark.encode() in source.head]
-    for mark in marks:
+    delimiters = [mark for mark in ";\t| " if mark.encode() in source.head]
+    for mark in delimiters:
         with contextlib.suppress(InputError):
             if recognised(in_utf8(source, mark, ",", None).head, source.path) is not None:
                 return True

@@ -264,8 +264,8 @@ def _by_names(names: list[str], cells: Cells) -> dict[str, str]:
     elif not {"x", "lat"} & chosen.keys():
         pairs = wide(names)
         chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
-    others = [name for name in names if name not in chosen.values() and not is_column(name)]
-    for part, name in angle_columns(others).items():
+    further = [name for name in names if name not in chosen.values() and not is_column(name)]
+    for part, name in angle_columns(further).items():
         unit = angle_unit(name)
         if not unit:
             values = [abs(one) for cell in cells.columns[name][:_ROWS] if (one := parse_number(str(cell)))]
@@ -306,7 +306,7 @@ def _without_header(path: Path, found: Suggestion) -> tuple[Cells, dict[str, str
 def _meanings_of_numbers(values: NDArray[np.float64]) -> dict[str, int]:
     """Return key → column of a table (n, k) without names, by the values."""
     known = [k for k in range(values.shape[1]) if np.isfinite(values[:, k]).all()]
-    whole = [k for k in known if (values[:, k] == np.rint(values[:, k])).all()]
+    integers = [k for k in known if (values[:, k] == np.rint(values[:, k])).all()]
     found: dict[str, int] = {}
     varies: dict[int, float] = {}  # of boxes whose corners begin in a column, relative to their size
     for k in (k for k in known if {k + 1, k + 2, k + 3} <= {*known}):
@@ -316,18 +316,18 @@ def _meanings_of_numbers(values: NDArray[np.float64]) -> dict[str, int]:
     if varies:
         k = min(varies, key=lambda k: varies[k])
         found = {"left": k, "top": k + 1, "right": k + 2, "bottom": k + 3}
-    others = [k for k in known if k not in found.values()]
+    further = [k for k in known if k not in found.values()]
     if not found:
-        exact = [k for k in others if k not in whole]
+        exact = [k for k in further if k not in integers]
         if len(exact) > 2 and (np.diff(values[:, exact[0]]) >= 0.0).all():
             found["t"] = exact.pop(0)
-        pairs = [k for k in exact if k + 1 in others and k + 1 not in found.values()]
+        pairs = [k for k in exact if k + 1 in further and k + 1 not in found.values()]
         if not pairs:
             return {}
         found |= {"x": pairs[0], "y": pairs[0] + 1}
     place = values[:, [found.get("x", found.get("left", 0)), found.get("y", found.get("top", 0))]]
     counts = [
-        k for k in others if k in whole and k not in found.values() and len(np.unique(values[:, k])) > 1
+        k for k in further if k in integers and k not in found.values() and len(np.unique(values[:, k])) > 1
     ]
     if "t" in found:
         return ({"id": counts[0]} if counts else {}) | found
@@ -338,10 +338,10 @@ def _meanings_of_numbers(values: NDArray[np.float64]) -> dict[str, int]:
     return {"frame": best[0], "id": best[1]} | found
 
 
-def _jumps(frame: NDArray[np.float64], who: NDArray[np.float64], place: NDArray[np.float64]) -> float:
+def _jumps(frame: NDArray[np.float64], track_id: NDArray[np.float64], place: NDArray[np.float64]) -> float:
     """Return the median step of people from frame to frame; infinite where one is twice in a frame."""
-    order = np.lexsort((frame, who))
-    same = np.diff(who[order]) == 0.0
+    order = np.lexsort((frame, track_id))
+    same = np.diff(track_id[order]) == 0.0
     if not same.any() or (np.diff(frame[order])[same] == 0.0).any():
         return float("inf")
     return float(np.median(np.linalg.norm(np.diff(place[order], axis=0)[same], axis=1)))

@@ -451,10 +451,10 @@ def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, s
 
 def _is_integer(text: str) -> bool:
     """Return whether a text is a whole number, perhaps with a point and zeros: 007 is a name."""
-    return _WHOLE.fullmatch(text.strip()) is not None and abs(float(text)) <= LARGEST_ID
+    return _INTEGER.fullmatch(text.strip()) is not None and abs(float(text)) <= LARGEST_ID
 
 
-_WHOLE = re.compile(r"-?(0|[1-9]\d{0,15})(\.0*)?", re.ASCII)
+_INTEGER = re.compile(r"-?(0|[1-9]\d{0,15})(\.0*)?", re.ASCII)
 
 
 def _begins_with_text(cells: Cells, name: str) -> bool:

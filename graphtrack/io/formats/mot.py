@@ -172,8 +172,10 @@ def _has_classes(table: Numbers) -> bool:
     levels = all(np.isin(values, (-1.0, 0.0, 1.0, 2.0)).all() for values in further)
     if absent or not small or not levels:
         return False
-    kinds_of = {(who, what) for who, what in table.values[:, [1, 7]].tolist()}
-    return len(kinds_of) == len({who for who, _ in kinds_of}) or bool((table.values[:, 1] == -1.0).all())
+    kinds_of = {(identity, kind) for identity, kind in table.values[:, [1, 7]].tolist()}
+    return len(kinds_of) == len({identity for identity, _ in kinds_of}) or bool(
+        (table.values[:, 1] == -1.0).all()
+    )
 
 
 def _world(table: Numbers) -> FloatArray | None:

@@ -205,8 +205,8 @@ def read_vicon(source: Source) -> Take:
         raise source.fail(f"the section {section}", expected, line=first + 1)
     names, axes, units = ([cell.strip() for cell in row] for row in head[2:])
     values, line = _numbers(source, mark, first + 5, len(axes))
-    whole = np.nan_to_num(values[:, 1]) == 0.0
-    values, line = values[whole], line[whole]
+    is_frame = np.nan_to_num(values[:, 1]) == 0.0
+    values, line = values[is_frame], line[is_frame]
     points, bodies = {}, {}
     begin = [k for k, name in enumerate(names) if name and k > 1]
     for k, end in zip(begin, [*begin[1:], len(axes)], strict=True):
