@@ -18,7 +18,8 @@ from graphtrack.interaction.people import Place
 from graphtrack.io.formats.ndjson import NOT_USED
 from graphtrack.model import Model
 from graphtrack.streaming import answers as of_streams
-from graphtrack.streaming.answers import Asked, StreamBounds, TrackAnswers
+from graphtrack.streaming.answers import StreamBounds, TrackAnswers
+from graphtrack.streaming.behaviour import Asked
 from graphtrack.streaming.protocol import Answering
 from graphtrack.streaming.saved_state import Saving, StateFile
 from graphtrack.streaming.session import Answers
