@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
     from graphtrack.inference.graph.recording import key_of
     from graphtrack.interaction.attention import GazeTargets, OnlineAttention
+    from graphtrack.interaction.crowd import CrowdMeasures, crowd_measures
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.io.formats.movement import from_movement, to_movement
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Comparison",
     "Cost",
+    "CrowdMeasures",
     "Estimate",
     "Failure",
     "Forecast",
@@ -88,6 +90,7 @@ __all__ = [
     "associate",
     "chord",
     "compare",
+    "crowd_measures",
     "forecast",
     "from_movement",
     "from_pedpy",
@@ -134,6 +137,7 @@ _HOMES = {
     "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",
     "interaction.attention": "GazeTargets OnlineAttention",
+    "interaction.crowd": "CrowdMeasures crowd_measures",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
     "io.options": "ReadOptions",
