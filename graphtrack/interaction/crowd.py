@@ -139,7 +139,7 @@ def _recording(
         cells = module.compute_individual_voronoi_polygons(
             traj_data=thinned, walkable_area=area, cut_off=module.Cutoff(radius=CUT_OFF, quad_segments=8)
         )
-    except module.PedPyError as error:
+    except Exception as error:  # PedPy's errors have no common class before 1.3
         raise InputError(f"tracks that PedPy cannot measure ({error})", _EXPECTED) from error
     t = {
         frame: at
@@ -178,11 +178,9 @@ def _of_zone(zone: Place, recording: _Recording) -> tuple[dict[str, Any], Column
     outline = (
         shapely.Point(zone.outline[0]).buffer(zone.radius) if zone.radius else shapely.Polygon(zone.outline)
     )
-    try:
-        area = module.MeasurementArea(outline)
-    except module.PedPyError as error:
-        found = f"the zone {zone.name!r}, which PedPy cannot measure ({error})"
-        raise InputError(found, "a convex polygon without holes") from error
+    if not outline.is_valid or not np.isclose(outline.convex_hull.area, outline.area, rtol=1e-9):
+        raise InputError(f"the zone {zone.name!r}", "a convex polygon, as PedPy needs")
+    area = module.MeasurementArea(outline)
     density = module.compute_classic_density(traj_data=recording.thinned, measurement_area=area)
     of_cells, _ = module.compute_voronoi_density(
         individual_voronoi_data=recording.cells, measurement_area=area
