@@ -69,9 +69,9 @@ def calibrate(
     if is_page or boxes is None:
         if is_page == (point_pairs is not None) or boxes is not None:
             given = {"--boxes": boxes, "--point-pairs": point_pairs}
-            found = " and ".join(name for name, path in given.items() if path is not None)
+            named = " and ".join(name for name, path in given.items() if path is not None)
             expected = "--boxes or --point-pairs, or an output .html without them: a page to click points"
-            raise InputError(f"{found or 'neither'} with -o {output.name}", expected)
+            raise InputError(f"{named or 'neither'} with -o {output.name}", expected)
         _calibrate_by_points(source, output, point_pairs, frame)
         return
     if point_pairs is not None:
