@@ -386,7 +386,7 @@ class Place:
 
     @property
     def is_line(self) -> bool:
-        """Whether it is a line."""
+        """True for a line."""
         return len(self.outline) == 2
 
     @property

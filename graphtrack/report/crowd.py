@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from graphtrack.geometry.walkable import AreaLike
@@ -70,7 +69,9 @@ def crowd_sections(
             "A person's first crossing counts; left and right of the way from the first to the second point."
         )
         items.append(DataTable.of("Lines", shown_rows(found.lines, LINES), note))
-        items.append(Picture("People who have crossed each line", plot_crossings(found)))
+        times = [t for track in tracks for t in (float(track.t[0]), float(track.t[-1]))]
+        figure = plot_crossings(found, min(times), max(times))
+        items.append(Picture("People who have crossed each line", figure))
     text, works = with_references(_METHODS)
     items += [Note(text), *(Note(f"{one.cited}: {one.work}.") for one in works)]
     return (Section("Crowd measures", tuple(items)),)
@@ -95,14 +96,14 @@ def plot_density(found: CrowdMeasures) -> Figure:
     return figure
 
 
-def plot_crossings(found: CrowdMeasures) -> Figure:
-    """Draw the number of people who have crossed each line, over time."""
+def plot_crossings(found: CrowdMeasures, start: float, end: float) -> Figure:
+    """Draw the number of people who have crossed each line, from the start to the end (seconds)."""
     figure = new_figure(9.5, 3.0)
     axes = figure.add_subplot()
     for number, line in enumerate(found.lines["line"].tolist()):
         rows = found.crossings["line"] == line
         t, count = found.crossings["t"][rows], found.crossings["count"][rows]
-        steps = np.append(t[:1], t), np.append(0, count)[: len(t) + 1]
+        steps = [start, *t.tolist(), end], [0, *count.tolist(), len(count)]
         axes.step(*steps, where="post", color=group_colour(number), label=str(line))
     axes.set(xlabel="time (s)", ylabel="people")
     axes.set_ylim(bottom=0.0)

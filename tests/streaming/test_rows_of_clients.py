@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run
-from test_clock_and_forgetting import Row, each, flat, resumed, settings_of, stream, walkers
+from rows_of_streams import Row, each, flat, resumed, settings_of, stream, walkers
 
 from graphtrack.interaction.people import Place
 from graphtrack.streaming.behaviour import Asked
@@ -163,3 +163,31 @@ def test_a_burst_of_a_slow_sensor_begins_nothing_again() -> None:
     people = stream(True, notes)
     each(people, fast[:60] + slow[:20] + fast[60:] + slow[20:])
     assert not notes and set(people.members) == {0}
+
+
+def with_poses(rows: list[Row]) -> list[Row]:
+    """Rows of a sensor that drives along x, with a pose before the rows of each time."""
+    found: list[Row] = []
+    for row in rows:
+        if not found or found[-1]["t"] != row["t"]:
+            t = row["t"]
+            found.append({"pose": True, "t": t, "x": 0.1 * row["frame"], "y": 0.0, "yaw_deg": 0.0})
+        found.append({**row, "x": row["x"] - 0.1 * row["frame"]})
+    return found
+
+
+def test_poses_begin_again_with_the_rows() -> None:
+    """After a while answers are those of a stream that began there."""
+    notes: list[str] = []
+    people = stream(True, notes)
+    each(people, with_poses(walkers(20, True, start=30.0)))
+    after = with_poses(walkers(30, True))
+    again = flat(each(people, after))
+    fresh = flat(each(stream(True), after))
+    assert sum("the stream begins again" in note for note in notes) == 2  # of the poses, and of the rows
+    late = [row for row in again if "status" in row and 2.0 < row["t"] < 10.0]
+    expected = {(row["track_id"], row["t"]): row for row in fresh if "status" in row}
+    assert len(late) > 15
+    for row in late:
+        known = expected[row["track_id"], row["t"]]
+        assert (row["x"], row["y"]) == pytest.approx((known["x"], known["y"]), abs=0.05)
