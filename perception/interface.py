@@ -23,7 +23,7 @@ def _path(given: str | Path | None) -> Path | None:
 def _camera(
     homography: str | Path | None, calibration: str | Path | None, fps: float | None
 ) -> CameraOptions:
-    return CameraOptions(_path(homography), _path(calibration), fps)
+    return CameraOptions(_path(homography), calibration=_path(calibration), fps=fps)
 
 
 def observe(

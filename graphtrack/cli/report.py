@@ -30,6 +30,7 @@ def report(
     attention: Path | None = None,
     places: Path | None = None,
     forecast: Path | None = None,
+    crowd: Path | None = None,
     title: str = "Tracks",
 ) -> None:
     """Write an HTML report of existing tracks, with groups, gaze and forecasts.
@@ -46,10 +47,12 @@ def report(
     attention : Output of 'graphtrack attention'.
     places : File of gaze targets given to 'graphtrack attention'.
     forecast : Output of 'graphtrack forecast'.
+    crowd : File of zones and lines given to 'graphtrack crowd', to measure density, speed and flow.
     """
     from graphtrack.report.page import write_report
 
     tables = {"--groups": groups, "--attention": attention, "--places": places, "--forecast": forecast}
+    tables |= {"--crowd": crowd}
     options.check_outputs(
         {"--output": output}, {**reading.inputs(inputs), "--observations": observations, **tables}
     )
@@ -64,6 +67,7 @@ def report(
         forecast=forecast,
         places=places,
         sensors=reading.sensors,
+        crowd=crowd,
         title=title,
     )
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")

@@ -1,4 +1,4 @@
-"""Commands `graphtrack reproduce`, the papers' experiments, and `graphtrack demo`."""
+"""Commands `graphtrack reproduce`, the papers' experiments, `graphtrack demo` and `graphtrack cite`."""
 
 from __future__ import annotations
 
@@ -151,3 +151,42 @@ def demo(
     )
     write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")
+
+
+def cite(
+    reading: options.SceneReading,
+    inputs: Annotated[list[Path] | None, typer.Argument(metavar="[FILE...]")] = None,
+    model: options.BestModelName = None,
+    engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam|isam2|fixed-lag>")] = "auto",
+    constants: options.Constants = None,
+    bibtex: bool = False,
+) -> None:
+    """Print a methods paragraph and its references, for a paper.
+
+    With files it says what was read and refused. 'graphtrack smooth --report' writes the paragraph with the
+    constants that were learned.
+
+    Parameters
+    ----------
+    engine : Of the run; isam2 and fixed-lag are those of track.
+    bibtex : Print the BibTeX entry of this version too.
+    """
+    from graphtrack.constants.personal import is_learned, known_constants
+    from graphtrack.inference.engines import engine_of, online_engine
+    from graphtrack.model import Model
+    from graphtrack.report.methods import methods_text, software_bibtex
+
+    chosen = Model.named(model)
+    is_online = engine in ("isam2", "fixed-lag")
+    solver = online_engine(chosen, engine) if is_online else engine_of(chosen, engine)  # type: ignore[arg-type]
+    known = known_constants(constants)
+    words = (
+        "learned" if is_learned(known, chosen) else "the defaults" if constants != "default" else "default"
+    )
+    summary = reading.tracks(inputs).summary if inputs else None
+    text, works = methods_text(chosen, solver, constants=words, summary=summary)
+    typer.echo(text)
+    for work in works:
+        typer.echo(f"  {work.cited}: {work.work}.")
+    if bibtex:
+        typer.echo(software_bibtex())

@@ -256,10 +256,12 @@ def smooth(
         emit(f"  {tracks.person(result.track.track_id)}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.html import write_html
+        from graphtrack.report.methods import methods_section, methods_text
         from graphtrack.report.page import constants_section, tracking_report
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
-        sections = constants_section(learned)
+        words = methods_text(chosen, solver, constants=learned, summary=tracks.summary, failed=len(bad))
+        sections = constants_section(learned) + methods_section(*words)
         page = tracking_report(
             estimates,
             tracks,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
     from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Model
-    from graphtrack.streaming.answers import Asked
+    from graphtrack.streaming.behaviour import Asked
     from graphtrack.streaming.session import Answers
     from graphtrack.tracks.table import Rows
 
@@ -231,7 +231,7 @@ def horizon_of(forecast: float | None) -> tuple[float, float] | None:
     if forecast is None:
         return None
     from graphtrack.forecasting.forecaster import times_ahead
-    from graphtrack.streaming.answers import STEP
+    from graphtrack.streaming.behaviour import STEP
 
     step = min(STEP, forecast)
     times_ahead(forecast, step)
@@ -245,7 +245,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     if not (groups or attention):
         return None
     from graphtrack.interaction.people import read_places
-    from graphtrack.streaming.answers import Asked
+    from graphtrack.streaming.behaviour import Asked
 
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 

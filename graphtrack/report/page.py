@@ -312,6 +312,7 @@ def write_report(
     forecast: Forecasts | str | Path | None = None,
     places: Sequence[Place] | str | Path | None = None,
     sensors: SensorsLike | None = None,
+    crowd: Sequence[Place] | str | Path | None = None,
     title: str = "Tracks",
     subtitle: str = "",
 ) -> None:
@@ -329,6 +330,7 @@ def write_report(
     places : other gaze targets, or a file with their positions
     sensors : descriptions of the sensors, or their file: fields of view and errors are shown. The tracks are
         in the world already. Fields of view that are not described are learned
+    crowd : zones and lines, or their file, in which PedPy measures density, speed and flow
     title, subtitle : text at the top
 
     Raises
@@ -340,6 +342,11 @@ def write_report(
     tracks = tracks_of(tracks)
     observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
+    sections: tuple[Section, ...] = ()
+    if crowd is not None:
+        from graphtrack.report.crowd import crowd_sections  # PedPy takes seconds to import
+
+        sections = crowd_sections(tracks, crowd)
     report = tracking_report(
         tracks,
         observations,
@@ -347,5 +354,6 @@ def write_report(
         subtitle=subtitle,
         behaviour=behaviour,
         sensors=None if sensors is None else SensorScene.of(sensors),
+        sections=sections,
     )
     write_html(path, report)

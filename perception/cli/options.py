@@ -68,18 +68,24 @@ class CameraOptions:
     Camera
     ------
     homography : File with 3×3 numbers: image → ground in metres.
+    point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
     calibration : Camera calibration (.ci), also of a fisheye.
     fps : Frames a second; by default the video's, or 25.
     """
 
     homography: options.InputFile | None = None
+    point_pairs: options.InputFile | None = None
     calibration: options.InputFile | None = None
     fps: Annotated[float | None, typer.Option(min=0.1)] = None
 
     @property
     def files(self) -> dict[str, Path | None]:
         """Return the files to read, by option name."""
-        return {"--homography": self.homography, "--calibration": self.calibration}
+        return {
+            "--homography": self.homography,
+            "--point-pairs": self.point_pairs,
+            "--calibration": self.calibration,
+        }
 
     def clock(self, frames: FrameSource) -> Clock:
         """Return the times of frames, from the requested rate or else from the video."""
@@ -90,10 +96,16 @@ class CameraOptions:
     def on_ground(self) -> GroundCamera | None:
         """Return the camera; None without options."""
         from graphtrack.geometry.camera import GroundCamera
-        from graphtrack.io.cameras import read_calibration, read_homography
+        from graphtrack.io.cameras import camera_of_point_pairs, read_calibration, read_homography
 
-        if self.homography is not None and self.calibration is not None:
-            raise InputError("--homography and --calibration", "one of them")
+        given = [name for name, path in self.files.items() if path is not None]
+        if len(given) > 1:
+            raise InputError(" and ".join(given), "one of them")
+        if self.point_pairs is not None:
+            camera, notes = camera_of_point_pairs(self.point_pairs)
+            for note in notes:
+                emit(f"  note: {note}")
+            return camera
         if self.calibration is not None:
             return read_calibration(self.calibration)
         if self.homography is None:

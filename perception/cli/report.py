@@ -124,7 +124,7 @@ def report_folder(
     run = _Run(folder, frames, camera.clock(frames), known, person_height, seed, reports)
     run.assumed.append(_of_rate(frames, run.clock, camera.fps))
     run.find_people(boxes, given, list(refused))
-    run.find_ground(camera.calibration or camera.homography)
+    run.find_ground(camera.calibration or camera.point_pairs or camera.homography)
     run.adapt_models(adapt)
     run.observe()
     run.estimate(method)
