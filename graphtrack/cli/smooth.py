@@ -236,6 +236,7 @@ def smooth(
     with progress_bar(tracks.n_frames) as advance:
         found = work.solve(jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
+    names = tracks.names
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
@@ -251,15 +252,15 @@ def smooth(
         emit(f"  noise, learned: {noise}")
     for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
-            emit(f"  track {result.track.track_id}: {result.constants.described()}")
+            emit(f"  track {names[result.track.track_id]}: {result.constants.described()}")
     for result in unconverged:
-        emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
+        emit(f"  track {names[result.track.track_id]}: not converged in {result.iterations} steps")
     if report is not None and good:
         from graphtrack.report.html import write_html
         from graphtrack.report.page import constants_section, tracking_report
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
-        sections = constants_section(learned)
+        sections = constants_section(learned, names)
         page = tracking_report(
             estimates,
             tracks,
@@ -272,7 +273,7 @@ def smooth(
     if good:
         emit(f"wrote {output}")
     for failure in bad:
-        emit(f"error: track {failure.track_id}: {failure.reason}")
+        emit(f"error: track {names[failure.track_id]}: {failure.reason}")
     if bad:
         raise typer.Exit(BAD_INPUT)
 

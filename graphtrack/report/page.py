@@ -138,15 +138,23 @@ def tracking_report(
     )
 
 
-def constants_section(constants: Mapping[int, PersonalConstants]) -> tuple[Section, ...]:
-    """Return the section on each person's learned constants, by track id; none without any."""
+def constants_section(
+    constants: Mapping[int, PersonalConstants], names: Mapping[int, str]
+) -> tuple[Section, ...]:
+    """Return the section on each person's learned constants; none without any.
+
+    Parameters
+    ----------
+    constants : track id → constants
+    names : track id → name
+    """
     if not constants:
         return ()
     rows = []
     for track_id, one in constants.items():
         likely = max(one.coupling, key=lambda name: one.coupling[name])
         turns = [math.degrees(math.sqrt(d)) for d in (one.body_diffusion, one.head_diffusion)]
-        rows.append((track_id, one.acceleration_density, *turns, likely, 100.0 * one.coupling[likely]))
+        rows.append((names[track_id], one.acceleration_density, *turns, likely, 100.0 * one.coupling[likely]))
     table = DataTable(
         "Constants of each person",
         ("person", "q (m²/s³)", "body turns (°/√s)", "head turns (°/√s)", "orientations", "probability (%)"),
@@ -173,7 +181,8 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
         body_std, head_std = (_median_degrees(estimate.std(name)) for name in ("body", "head"))
         table.append(
             {
-                "person": estimate.track_id,
+                "person": pair.name,
+                "id": None if pair.name == str(estimate.track_id) else estimate.track_id,
                 "label": pair.label,
                 "from (s)": float(estimate.t[0]),
                 "to (s)": float(estimate.t[-1]),

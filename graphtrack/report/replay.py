@@ -271,6 +271,7 @@ def replay_data(
         | ({} if lives is None else _life(pair, lives[i], at))
         for (i, pair), at in zip(placed, kept, strict=True)
     ]
+    names = {pair.estimate.track_id: pair.name for pair in pairs}
     shown = None
     if behaviour is not None:
         shown, more = behaviour_codes(behaviour, [pair.estimate for _, pair in placed], kept)
@@ -301,8 +302,9 @@ def replay_data(
         "lives": lives is not None,
         "unsure": UNSURE,
         "events": [
-            [round(t, 3), str(e.person), str(e.before), str(e.after), int(e.switch), int(e.found_again)]
+            [round(t, 3), str(e.person), before, after, int(e.switch), int(e.found_again)]
             for e, t in zip(events, event_times(pairs, events), strict=True)
+            for before, after in [[names.get(k, str(k)) for k in (e.before, e.after)]]
         ],
     }
 
@@ -403,8 +405,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
     }
     t = estimate.t[at]
     return {
-        # As text: a number in JavaScript has 53 bits.
-        "id": str(estimate.track_id),
+        "number": str(estimate.track_id),  # a number in JavaScript has 53 bits
+        "id": pair.name,
         "label": pair.label,
         "colour": person_colour(index),
         "dash": person_dash(index),

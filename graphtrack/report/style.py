@@ -53,6 +53,15 @@ def quantity_colour(name: str) -> str:
     return NEUTRAL_COLOUR
 
 
+NAME_LENGTH = 20
+"""Most characters of a name at an axis."""
+
+
+def plain(text: str, most: int = NAME_LENGTH) -> str:
+    """Return a name for a figure, cut to ``most`` characters, without mathematics between dollars."""
+    return (text if len(text) <= most else f"{text[: most - 1]}…").replace("$", r"\$")
+
+
 def new_figure(
     width: float, height: float, layout: Literal["constrained", "compressed"] = "constrained"
 ) -> Figure:

@@ -37,6 +37,7 @@ from graphtrack.tracks.table import (
     ReadSummary,
     Rows,
     check_identities,
+    identities,
     restored,
     sorted_rows,
 )
@@ -474,6 +475,14 @@ class TrackSet:
                 return track
         known = listed(track.track_id for track in self.tracks)
         raise UnknownTrackError(f"no track {track_id!r}", f"one of the ids {known}" if known else "a track")
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Track id → unique name: the file's text identity, else the label if all differ, else the id."""
+        labels = [track.label for track in self.tracks]
+        if (self.as_read is None or not self.as_read.names) and all(labels) and len({*labels}) == len(labels):
+            return {track.track_id: track.label for track in self.tracks}
+        return identities([track.track_id for track in self.tracks], self.as_read)
 
     @property
     def n_frames(self) -> int:

@@ -100,10 +100,10 @@ def test_the_page_says_what_it_leaves_out():
 
 
 def test_hostile_words_stay_words():
-    track = walker(1, label=HOSTILE)
+    tracks = [walker(i, label=HOSTILE) for i in (1, 2)]
     report = tracking_report(
-        TrackSet((track,)),
-        TrackSet((observed(track),), summary=ReadSummary("csv", 3, {HOSTILE: 1}, (HOSTILE,))),
+        TrackSet(tuple(tracks)),
+        TrackSet(tuple(map(observed, tracks)), summary=ReadSummary("csv", 3, {HOSTILE: 1}, (HOSTILE,))),
         title=HOSTILE,
         subtitle=HOSTILE,
         comparison=[{**row, "method": HOSTILE, "unit": HOSTILE} for row in ERRORS],

@@ -324,11 +324,11 @@ def test_the_timeline_of_looks_spans_the_recording() -> None:
         late = np.abs(np.arange(len(one.t)) - 20) > 2
         one.probability[late] = 0.0
         one.probability[late, -1] = 1.0
-    low, high = plot_look_timeline(found).axes[0].get_xlim()
+    low, high = plot_look_timeline(found, tracks.names).axes[0].get_xlim()
     assert low <= 0.0 and high >= tracks.by_id(1).t[-1] and high - low < 1.1 * tracks.by_id(1).t[-1] + 1.0
 
 
 def test_the_timeline_of_groups_spans_the_recording() -> None:
     found = groups(pair())
-    low, high = plot_group_timeline(found, ()).axes[0].get_xlim()
+    low, high = plot_group_timeline(found, (), {}).axes[0].get_xlim()
     assert (low, high) == (found.t.min(), found.t.max())

@@ -69,7 +69,7 @@ function startAngles(root, crowd, replay) {
   // While one types, only what is meant beyond doubt is taken; at the end, the first that fits.
   function search(done) {
     const words = who.value.trim(), found = words ? findPeople(people, words) : [];
-    who.setCustomValidity(words && !found.length ? "Nobody has such an id or label" : "");
+    who.setCustomValidity(words && !found.length ? "Nobody has such a name or id" : "");
     if (found.length === 1 || (done && found.length)) crowd.choose(found[0]);
     else if (done) who.value = people[index].name;
   }

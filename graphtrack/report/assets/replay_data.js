@@ -26,7 +26,7 @@ function decodeGaps(coded) {
 }
 
 function decodePerson(coded, steps) {
-  const person = { id: coded.id, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
+  const person = { id: coded.id, number: coded.number, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
   person.name = coded.id + (coded.label ? " " + coded.label : "");
   person.t = undelta(coded.t, steps.time);
   LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length); });

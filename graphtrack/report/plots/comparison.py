@@ -23,10 +23,11 @@ from graphtrack.report.style import (
     new_figure,
     open_holes,
     person_dash,
+    plain,
     quantity_colour,
     tidy,
 )
-from graphtrack.tracks.display import person_colour
+from graphtrack.tracks.display import LONGEST, person_colour
 from graphtrack.tracks.track import Track
 
 PANELS_A_LINE = 3
@@ -104,7 +105,7 @@ def _write_above(axes: Axes, value: float, y: int, align: Literal["left", "cente
 
 
 def _words(name: Any) -> str:
-    return str(name).replace("_", " ").replace("$", r"\$")
+    return plain(str(name).replace("_", " "), LONGEST)
 
 
 _COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
@@ -187,7 +188,7 @@ def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
     pair = pair_track(estimate, observation)
     names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
     figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
-    figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)
+    figure.suptitle(plain(pair.title, LONGEST), x=0.01, ha="left", fontsize=11)
     if not names:
         axes = figure.add_subplot()
         axes.set_axis_off()

@@ -26,6 +26,7 @@ from graphtrack.report.style import (
     new_figure,
     open_holes,
     person_dash,
+    plain,
     probability_ellipse,
     tidy,
 )
@@ -303,7 +304,7 @@ def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
     axes.plot(x, y, "o", color=colour, markersize=4.5, markeredgecolor="white", zorder=3.5)
     box = {"boxstyle": "round,pad=0.18", "facecolor": "white", "edgecolor": colour, "alpha": 0.9}
     axes.annotate(
-        str(pair.estimate.track_id),
+        plain(pair.name),
         (x, y),
         xytext=(-5, -5),
         textcoords="offset points",
@@ -351,7 +352,7 @@ def _legend(pairs: tuple[Pair, ...], enlarged: float) -> list[Line2D | Patch]:
         for i, pair in enumerate(pairs):
             handles.append(
                 _key(
-                    _short(pair.name),
+                    _short(pair.title),
                     color=person_colour(i),
                     linestyle=_line_style(person_dash(i)),
                     linewidth=1.8,
@@ -366,5 +367,5 @@ def _key(label: str, **style: Any) -> Line2D:
 
 def _short(name: str, width: int = 28) -> str:
     """A name on at most two lines of a legend."""
-    # A dollar would start mathematics in matplotlib.
-    return textwrap.fill(name, width, max_lines=2, placeholder=" …").replace("$", r"\$")
+    lines = textwrap.fill(name, width, max_lines=2, placeholder=" …")
+    return plain(lines, len(lines))
