@@ -93,6 +93,16 @@ Constants = Annotated[
         "model, else default.",
     ),
 ]
+Intervals = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PERCENT",
+        min=1.0,
+        max=99.99,
+        help="Write the intervals of speed, heading, body and head with this probability too: columns "
+        "speed_low, speed_high, heading_deg_low and so on.",
+    ),
+]
 SHOWN_CONSTANTS = 10  # People whose learned constants are printed
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
 Places = Annotated[
@@ -187,6 +197,7 @@ class MetricReading:
         scene: GivenScene = None,
         reference: TrackSet | None = None,
         missed_rows: bool = True,
+        camera_used: bool = False,
     ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
@@ -197,6 +208,7 @@ class MetricReading:
         scene : scene model, for people without identities
         reference : tracks to compare with; times and local metres share its origin
         missed_rows : as in `ReadOptions`
+        camera_used : whether the camera has a use, although the input has no pixels
         """
         from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
@@ -211,7 +223,7 @@ class MetricReading:
             )
         print_summary(tracks, ", ".join(str(path) for path in paths))
         unused = [option_name(name) for name in CAMERA if name in self.given()]
-        if unused and tracks.camera is None:
+        if unused and tracks.camera is None and not camera_used:
             emit(f"  note: {', '.join(unused)} not used: the input has no pixels")
         if self.select:
             if not all(self.select):

@@ -146,6 +146,7 @@ def smooth(
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
     walkable: options.Walkable = None,
     learn_sensors: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
+    intervals: options.Intervals = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
     stream: bool | None = None,
@@ -190,7 +191,7 @@ def smooth(
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
-        unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors}
+        unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors, "--intervals": intervals}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", "sensors", *options.CAMERA)
         given = reading.given().items()
@@ -241,7 +242,7 @@ def smooth(
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write_tracks(work.estimates(found), output)
+        write_tracks(work.estimates(found), output, intervals=intervals)
     unconverged = [result for result in good if not result.converged]
     emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
@@ -33,8 +34,8 @@ from graphtrack.io.source import Source, place_of, sequence_file, table_in
 from graphtrack.io.text import in_utf8
 from graphtrack.tracks.cells import Cells, Layout, cells_of_frame, rows_of_cells
 from graphtrack.tracks.display import counted, listed
-from graphtrack.tracks.table import Rows, check_identities, check_rows, merged
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.table import Rows, check_identities, check_rows, merged, restored
+from graphtrack.tracks.track import Track, TrackSet, to_columns
 from graphtrack.tracks.validation import LARGEST_ID
 
 if TYPE_CHECKING:
@@ -336,6 +337,7 @@ def write(
     format: str | None = None,
     homography: FloatArray | str | Path | None = None,
     spreadsheet: bool = False,
+    intervals: float | None = None,
 ) -> None:
     """Write tracks atomically: on any failure nothing is left behind.
 
@@ -347,6 +349,8 @@ def write(
         the camera of the tracks
     spreadsheet : put an apostrophe before text, such as labels, that a spreadsheet would run as a formula
         (it begins with =, +, -, @, a tab or a carriage return); for CSV
+    intervals : probability of the intervals of speed, heading, body and head that are written too, for
+        tables; see `TrackSet.to_table`
 
     Raises
     ------
@@ -370,8 +374,16 @@ def write(
         if chosen is not CSV:
             raise InputError(f"--spreadsheet for the format {chosen.name}", "csv", path=path)
         tracks = _without_formulas(tracks)
+    writer = partial(chosen.write, tracks)
+    if intervals is not None:
+        if chosen.write_columns is None:
+            raise InputError(f"intervals for the format {chosen.name}", "csv, parquet or ndjson", path=path)
+        if all(track.covariance is None for track in tracks):
+            raise InputError("intervals of tracks without uncertainties", "estimates, as smooth writes them")
+        columns = restored(to_columns(tracks, intervals), tracks.as_read)
+        writer = partial(chosen.write_columns, columns)
     with atomic_path(path) as temporary:
-        chosen.write(tracks, temporary)
+        writer(temporary)
 
 
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")

@@ -594,7 +594,7 @@ def rows_of_cells(
     if not strict:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
-    ignored = unknown(name for name in cells.columns if name not in used and name != IDENTITY)
+    ignored = [name for name in unknown([*cells.columns, *named]) if name not in used and name != IDENTITY]
     try:
         rows = from_columns(
             columns,

@@ -68,7 +68,7 @@ def test_one_choice_leads_the_replay_the_chart_the_table_and_the_address(seen):
     assert seen["visited"]["row"] == "walker 59<b>"
     assert seen["visited"]["hash"] == "#t=4.40&person=walker%2059%3Cb%3E"
     assert "walker 59<b>" in seen["visited"]["label"] and seen["visited"]["reading"].startswith(
-        "4.40 s: body"
+        "4.40 s: speed 1.50 m/s"
     )
     assert seen["typed"] == "Person walker 33<b>" and seen["after"] == "walker 34<b>"
     assert seen["escaped"]

@@ -67,8 +67,8 @@ def test_pictures_have_the_names_of_the_file(tracks):
 
 def test_the_address_takes_names_and_numbers(tracks):
     replay = tracking_report(tracks).replay
-    code = f"{decoded(replay)} const crowd = createCrowd(people); return ['Anna', '3', 'P07', '9'].map(crowd.indexOf);"
-    assert in_node(("replay_data.js", "lives.js", "people.js"), code) == [2, 2, 0, -1]
+    code = "const crowd = createCrowd(people); return ['Anna', '3', 'P07', '9'].map(crowd.indexOf);"
+    assert in_node(("replay_data.js", "lives.js", "people.js"), decoded(replay) + code) == [2, 2, 0, -1]
 
 
 def test_labels_are_names_where_each_is_of_one_person():

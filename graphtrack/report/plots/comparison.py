@@ -27,7 +27,7 @@ from graphtrack.report.style import (
     quantity_colour,
     tidy,
 )
-from graphtrack.tracks.display import LONGEST, person_colour
+from graphtrack.tracks.display import LONGEST, VELOCITY_COLOUR, person_colour
 from graphtrack.tracks.track import Track
 
 PANELS_A_LINE = 3
@@ -200,6 +200,53 @@ def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
     panels[-1].set_xlabel("time (s)")
     return figure
+
+
+def plot_person(pair: Pair) -> Figure | None:
+    """Draw speed, heading, body and head of one person over time, with 95 % intervals; None: none known.
+
+    The heading is drawn where its interval is narrower than a half turn: nobody who stands has one.
+    """
+    moves = pair.estimate.velocity is not None and bool(np.isfinite(pair.estimate.velocity).any())
+    names = ["speed", "heading"] if moves else []
+    names += [name for name in ANGLE_COLOURS if has_angle(pair, name)]
+    if not names:
+        return None
+    figure = new_figure(9.4, 0.8 + 1.7 * len(names))
+    figure.suptitle(plain(pair.title, LONGEST), x=0.01, ha="left", fontsize=11)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        if name in ANGLE_COLOURS:
+            _draw_angle(axes, pair, name)
+        else:
+            _draw_motion(axes, pair.estimate, name)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def _draw_motion(axes: Axes, track: Track, name: str) -> None:
+    """Draw the speed or the heading with its 95 % interval."""
+    low, high = track.interval(name)
+    if name == "speed":
+        t, low, high, value = open_holes(track.t, low, high, track.speed)
+        axes.fill_between(t, low, high, color=VELOCITY_COLOUR, alpha=0.2, linewidth=0, label="95 %")
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("speed (m/s)")
+    else:
+        half = 0.5 * (high - low)
+        heading = np.where(half >= np.pi / 2.0, np.nan, track.heading)
+        for i, band in enumerate(angle_bands(*open_holes(track.t, heading, half))):
+            edges = np.degrees(band.lower), np.degrees(band.upper)
+            label = "95 %" if i == 0 else None
+            axes.fill_between(band.t, *edges, color=VELOCITY_COLOUR, alpha=0.2, linewidth=0, label=label)
+        t, value = break_at_seam(*open_holes(track.t, heading))
+        value = np.degrees(value)
+        axes.set_ylim(-180.0, 180.0)
+        axes.set_yticks(np.arange(-180, 181, 90))
+        axes.set_ylabel("heading (°)")
+    axes.plot(t, value, color=VELOCITY_COLOUR, linewidth=1.6, label="estimate", zorder=3)
+    tidy(axes)
 
 
 def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:
