@@ -257,11 +257,13 @@ def smooth(
     for result in unconverged:
         emit(f"  track {names[result.track.track_id]}: not converged in {result.iterations} steps")
     if report is not None and good:
+        from graphtrack.evaluation.observed import observed_calibration
         from graphtrack.report.html import write_html
-        from graphtrack.report.page import constants_section, tracking_report
+        from graphtrack.report.page import constants_section, observed_section, tracking_report
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
-        sections = constants_section(learned, names)
+        checked = observed_calibration(work.observed, good, chosen)
+        sections = (*observed_section(checked), *constants_section(learned, names))
         page = tracking_report(
             estimates,
             tracks,

@@ -180,6 +180,27 @@ def constants_section(
     return (Section("Learned constants", (table,)),)
 
 
+def observed_section(calibration: Records) -> tuple[Section, ...]:
+    """Return the section on calibration without a truth; none without rows.
+
+    Parameters
+    ----------
+    calibration : from `graphtrack.evaluation.observed.observed_calibration`
+    """
+    rows = records(calibration)
+    if not rows:
+        return ()
+    words = "Reliability on the observations: share of them in the intervals that all others predict"
+    note = Note(
+        "Each observation is compared with its prediction from all others, with the noise that is declared "
+        "or was learned. On the grey line, 95 % of the observations lie in the intervals of 95 %: the "
+        "uncertainties are calibrated. No truth is needed; errors that all observations share do not show."
+    )
+    table = [{k: v for k, v in row.items() if k not in ("method", "confidence", "coverage")} for row in rows]
+    shown = Picture(words, plot_reliability(rows, "observations"))
+    return (Section("Calibration", (note, shown, DataTable.of("Reliability on the observations", table))),)
+
+
 def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
     """Return one line a person: extent in time, observed channels, uncertainty and, with truth, errors.
 

@@ -111,7 +111,7 @@ def _words(name: Any) -> str:
 _COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
 
 
-def plot_reliability(calibration: Records) -> Figure:
+def plot_reliability(calibration: Records, of: str = "truth") -> Figure:
     """Draw one panel a quantity: coverage of intervals against their nominal probability.
 
     Uncertainties are correct on the diagonal, too small below it, too large above it.
@@ -121,6 +121,7 @@ def plot_reliability(calibration: Records) -> Figure:
     calibration : DataFrame or list of dict
         With ``method``, ``quantity`` (such as ``position``), ``nees`` per degree of freedom, ``confidence``
         and ``coverage`` (both sequences of as many shares), one row a method and quantity.
+    of : what the intervals should contain, for the axis
 
     Returns
     -------
@@ -150,7 +151,7 @@ def plot_reliability(calibration: Records) -> Figure:
                     label=f"{row['method']}: {row['nees']:.2f}",
                 )
         _finish(axes, quantity)
-    panels[0].set_ylabel("truth inside", fontsize=9)
+    panels[0].set_ylabel(f"{of} inside", fontsize=9)
     words = "nominal probability      grey: correct; below: uncertainty too small; NEES next to each method"
     figure.supxlabel(words, fontsize=9, color=NEUTRAL_COLOUR)
     return figure
