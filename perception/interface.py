@@ -179,6 +179,7 @@ def report(
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: float = 1.7,
     seed: int = 0,
+    figures: bool = False,
 ) -> TrackSet:
     """Detect, track and smooth people, and write a folder with tables, video and page: `perception report`.
 
@@ -192,6 +193,7 @@ def report(
         online; "chain", "isam2", "fixed-lag": the graph, online
     person_height : mean height of people's boxes, metres
     seed : of the random numbers
+    figures : write the figures of the page, and of up to 12 people, as SVG and PDF into its folder figures
 
     Returns
     -------
@@ -213,6 +215,7 @@ def report(
         method=method,
         person_height=person_height,
         seed=seed,
+        figures=figures,
         reports=Reports(),
     )
     return run.read("tracks")

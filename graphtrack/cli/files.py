@@ -207,6 +207,7 @@ def convert(
     output: options.Output,
     reading: options.MovingReading,
     spreadsheet: Annotated[bool, typer.Option("--spreadsheet")] = False,
+    intervals: options.Intervals = None,
 ) -> None:
     """Write tracks unchanged in another format, given by the ending of the output.
 
@@ -217,6 +218,6 @@ def convert(
     """
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
-    write_tracks(tracks, output, spreadsheet=spreadsheet)
+    write_tracks(tracks, output, spreadsheet=spreadsheet, intervals=intervals)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
     emit(f"wrote {output}: {people}, {rows}")

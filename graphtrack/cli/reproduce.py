@@ -116,14 +116,17 @@ def demo(
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
+    from graphtrack.evaluation.observed import observed_calibration
+    from graphtrack.inference.engines import Solution, engine_of
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.report.html import write_html
     from graphtrack.report.lives import pair_tracks
-    from graphtrack.report.page import tracking_report
+    from graphtrack.report.page import observed_section, tracking_report
+    from graphtrack.report.plots import plot_reliability
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
-    from graphtrack.smoothing import smooth
+    from graphtrack.smoothing import prepare
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES)
@@ -132,8 +135,10 @@ def demo(
     options.make_folder(out)
     emit(f"{len(observed)} people, {observed.n_frames} person-frames, simulated; smoothing")
     write(observed, out / OBSERVATIONS)
+    work = prepare(observed, chosen, engine_of(chosen, "auto"))
     with progress_bar(observed.n_frames) as advance:
-        estimates = smooth(observed, chosen, progress=advance)
+        found = [one for one in work.solve(progress=advance) if isinstance(one, Solution)]
+    estimates = work.estimates(found)
     write(estimates, out / ESTIMATES)
     methods = ["kf", "chain", "isam2", "rts", "smoother"]
     emit(f"comparing {', '.join(methods)}")
@@ -141,6 +146,9 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
+    # On the observations, as anybody can have it: against the truth it is in the report.
+    checked = observed_calibration(work.observed, found, work.model)
+    save_figure(plot_reliability(checked, "observations"), out / FIGURES[1])
     save_figure(plot_pairs(pair_tracks(estimates, observed), title="Smoothed tracks"), out / TRACKS)
     report = tracking_report(
         estimates,
@@ -148,6 +156,7 @@ def demo(
         title="graphtrack demo",
         comparison=comparison.rows,
         calibration=comparison.calibration,
+        sections=observed_section(checked),
     )
     write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")

@@ -330,7 +330,7 @@ def serve(
     ----------
     host : Address to listen on.
     port : Port to listen on; 0: any that is free.
-    engine : As in graphtrack track.
+    engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; auto: chain where it can be.
     lag : Length of the history that is re-estimated.
     fps : Frames a second, for rows without a time.
     homography : File with 3×3 numbers: image → ground in metres.
@@ -341,7 +341,7 @@ def serve(
     angles : Convention of the angles of rows and answers, such as 'clockwise from image up' or compass; by
         default degrees counter-clockwise from x.
     state : Folder for saved streams, which can be resumed; created if missing.
-    save_every : As in graphtrack track.
+    save_every : Seconds between flushes of --state to disk, the most that a power failure loses.
 
     Clients
     -------
@@ -355,7 +355,8 @@ def serve(
     max_people : Most people with identities in a stream at one time.
     max_rate : Most rows a second of a stream; faster clients are throttled.
     max_line : Most bytes of a message.
-    forget_after : As in graphtrack track.
+    forget_after : Seconds of a stream without a row until a person, or one of several streams of detections,
+        is forgotten.
     patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
         stream's process (at least 10), which is killed then.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
@@ -44,7 +45,7 @@ from graphtrack.tracks.table import (
     check_rows,
     merged,
 )
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet, columns_as_read
 from graphtrack.tracks.validation import LARGEST_ID
 
 if TYPE_CHECKING:
@@ -165,13 +166,17 @@ def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     return rows.with_notes(*notes)
 
 
+NO_PIXELS = "not used: the input has no pixels"
+"""End of the note on a camera that reading does not use."""
+
+
 def _unused_camera(rows: Rows, options: ReadOptions) -> tuple[str, ...]:
     """Return a note on options of a camera, where the input has no pixels."""
     names = ("camera", "homography", "point_pairs", "calibration", "metres_per_pixel")
     given = [name.replace("_", "-") for name in names if getattr(options, name) is not None]
     if not given or rows.camera is not None:
         return ()
-    return (f"--{', --'.join(given)} not used: the input has no pixels",)
+    return (f"--{', --'.join(given)} {NO_PIXELS}",)
 
 
 def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -> Rows:
@@ -403,6 +408,7 @@ def write(
     format: str | None = None,
     homography: FloatArray | str | Path | None = None,
     spreadsheet: bool = False,
+    intervals: float | None = None,
 ) -> None:
     """Write tracks atomically: on any failure nothing is left behind.
 
@@ -414,6 +420,8 @@ def write(
         the camera of the tracks
     spreadsheet : put an apostrophe before text, such as labels, that a spreadsheet would run as a formula
         (it begins with =, +, -, @, a tab or a carriage return); for CSV
+    intervals : probability of the intervals of speed, heading, body and head that are written too, for
+        tables; see `TrackSet.to_table`
 
     Raises
     ------
@@ -437,8 +445,16 @@ def write(
         if chosen is not CSV:
             raise InputError(f"--spreadsheet for the format {chosen.name}", "csv", path=path)
         tracks = _without_formulas(tracks)
+    writer = partial(chosen.write, tracks)
+    if intervals is not None:
+        if chosen.write_columns is None:
+            raise InputError(f"intervals for the format {chosen.name}", "csv, parquet or ndjson", path=path)
+        if all(track.covariance is None for track in tracks):
+            raise InputError("intervals of tracks without uncertainties", "estimates, as smooth writes them")
+        columns = columns_as_read(tracks, intervals)
+        writer = partial(chosen.write_columns, columns)
     with atomic_path(path) as temporary:
-        chosen.write(tracks, temporary)
+        writer(temporary)
 
 
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")

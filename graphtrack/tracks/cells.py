@@ -664,7 +664,7 @@ def rows_of_cells(
     if not strict:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
-    ignored = unknown(name for name in cells.columns if name not in used and name != IDENTITY)
+    ignored = [name for name in unknown([*cells.columns, *named]) if name not in used and name != IDENTITY]
     unnamed = [name for name in COMMON_NAMES if name in cells.columns and name not in used]
     if unnamed:
         notes.append(f"columns {listed(unnamed)} were not read: --columns does not name them")

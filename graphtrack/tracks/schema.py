@@ -149,6 +149,17 @@ TILT_COLUMN = "head_tilt_deg"
 TRUE_ID = "true_id"
 """A further such column: whom a simulated sensor detected, empty for a false detection."""
 
+DERIVED = ("speed", "speed_std", "heading_deg")
+"""Columns that are computed from velocities, and written with them; nothing is read from them."""
+
+INTERVALS = {"speed": "speed", "heading_deg": "heading", "body_deg": "body", "head_deg": "head"}
+"""Columns that are written with the ends of their intervals on request, and the names in `Track.interval`."""
+
+ENDS = ("low", "high")
+"""Suffixes of the columns with the ends of an interval."""
+
+INTERVAL_COLUMNS = tuple(f"{name}_{end}" for name in INTERVALS for end in ENDS)
+
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
 """Columns of `graphtrack track -` next to an estimate, or in its place; not part of a track either."""
 
@@ -168,7 +179,9 @@ def repeated(names: Iterable[str]) -> str | None:
 
 def unknown(names: Iterable[str]) -> list[str]:
     """Return the columns of a file that are neither of the native table nor known to be irrelevant."""
-    return [name for name in names if name not in _KNOWN and numeric(name) is None]
+    given = list(names)
+    derived = (*DERIVED, *INTERVAL_COLUMNS) if "vx" in given else ()
+    return [name for name in given if name not in _KNOWN and name not in derived and numeric(name) is None]
 
 
 _INPUT_COLUMN = re.compile(
@@ -228,7 +241,8 @@ def in_order(names: Collection[str]) -> tuple[str, ...]:
     there = set(names)
     known = [name for name in NAMES if name in there]
     place = len(known) - sum(name in there for name in TEXTS)
-    return (*known[:place], *(column.name for column in inputs), *known[place:])
+    derived = [name for name in (*DERIVED, *INTERVAL_COLUMNS) if name in there]
+    return (*known[:place], *(column.name for column in inputs), *derived, *known[place:])
 
 
 TOGETHER: tuple[tuple[str, ...], ...] = (

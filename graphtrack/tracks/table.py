@@ -47,6 +47,7 @@ LENGTHS = (
     *("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std", "true_x", "true_y"),
     *("observed_x_std", "observed_y_std"),
     *("observed_vx", "observed_vy", "observed_vx_std", "observed_vy_std"),
+    *("speed", "speed_std", "speed_low", "speed_high"),
 )
 """Columns of the native table that are metres, or metres a second."""
 
@@ -141,14 +142,21 @@ def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> d
     return found
 
 
+def identity_names(ids: Collection[int], as_read: AsRead | None) -> dict[int, str]:
+    """Return track id → identity of the file, unique; ids that the file does not have are ``track 7``."""
+    names: Mapping[int, str] = {} if as_read is None else as_read.names
+    taken = set(names.values())
+    return {k: names.get(k) or (f"track {k}" if str(k) in taken else str(k)) for k in ids}
+
+
 def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[str, Any]:
     """Return the columns with text identities of the file; labels equal to them are left out."""
     found: dict[str, Any] = dict(columns)
     if not as_read.names or "track_id" not in found or "track_id" not in as_read.columns:
         return found
     ids = found["track_id"].tolist()
-    unnamed = {k: f"track {k}" if str(k) in as_read.names.values() else str(k) for k in {*ids}}
-    names = [as_read.names.get(k, unnamed[k]) for k in ids]
+    of = identity_names({*ids}, as_read)
+    names = [of[k] for k in ids]
     if "label" in found and "label" not in as_read.columns and found["label"].tolist() == names:
         del found["label"]
     found["track_id"] = np.array(names, dtype=object)
