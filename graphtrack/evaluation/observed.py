@@ -83,7 +83,8 @@ def _believed(solution: Solution, model: Model) -> Parameters:
     if solution.constants is None:
         return model.parameters
     known = parameters_of(solution.constants, model)
-    own: dict[str, Any] = {key.partition(".")[2]: value for key, value in known.items() if key.startswith("likelihood.")}
+    noise = "likelihood."
+    own: dict[str, Any] = {key.removeprefix(noise): known[key] for key in known if key.startswith(noise)}
     return replace(model.parameters, likelihood=replace(model.parameters.likelihood, **own))
 
 
