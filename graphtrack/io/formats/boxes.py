@@ -20,6 +20,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import placed_boxes, with_scores
 from graphtrack.io.format import Format, label_files
+from graphtrack.io.formats.ndjson import CELL_BYTES
 from graphtrack.io.libraries import of_classes
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -206,6 +207,8 @@ def read_json(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
     if not entries:
         raise source.fail("no rows", "at least one object")
     keys = list(dict.fromkeys(key for entry in entries for key in entry))
+    found = f"{len(entries)} rows with one of {len(keys)} keys"
+    source.limit.check(CELL_BYTES * len(entries) * len(keys), found)
     columns = Columns(keys, lambda name: _objects([entry.get(name) for entry in entries]))
     return Cells(source.path, "json", columns, lambda row: row + 1)
 

@@ -293,7 +293,7 @@ class _Row(NamedTuple):
         return -self.line if track_id is None else track_id, self.cells.get("frame")
 
 
-_CELL_BYTES = 16
+CELL_BYTES = 16
 """Of a key that a row may lack: an object, and a number."""
 
 NOT_USED = "rows that 'track -' could not use"
@@ -325,7 +325,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
         rows.append(_Row(number, given))
         if not given.keys() <= keys.keys():
             keys |= dict.fromkeys(given)
-    source.limit.check(_CELL_BYTES * len(rows) * len(keys), f"{len(rows)} rows with one of {len(keys)} keys")
+    source.limit.check(CELL_BYTES * len(rows) * len(keys), f"{len(rows)} rows with one of {len(keys)} keys")
     kept = _last_answers(rows)
     refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
     if not kept:
