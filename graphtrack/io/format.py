@@ -46,6 +46,7 @@ class Format:
     takes : options of tables, fields of `ReadOptions`, that the reader itself handles
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
+    default_fps : frames a second of a table without times, unless an option gives them; a note says so
     """
 
     name: str
@@ -58,6 +59,7 @@ class Format:
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
     cells: Callable[[Source, ReadOptions], Cells] | None = None
+    default_fps: float | None = None
 
     def __post_init__(self) -> None:
         if self.write is None and self.write_columns is not None:

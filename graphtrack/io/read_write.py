@@ -351,7 +351,11 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
         raise InputError(f"format {chosen.name!r} of a folder or recording", str(kind), path=path)
     with read_errors(source.path):
         if chosen.cells is not None:
-            return rows_of_table(_cells(source, chosen, options), options, strict=True)
+            assumed = chosen.default_fps if options.fps is None else None
+            timed = options if assumed is None else replace(options, fps=assumed)
+            rows = rows_of_table(_cells(source, chosen, timed), timed, strict=True)
+            note = () if assumed is None else (f"no frame rate is given: {assumed:g} Hz assumed",)
+            return rows.with_notes(*note)
         _check_taken(chosen, options, source.path)
         if chosen.read is None:
             expected = "a table, such as GeoParquet; geopandas.read_file makes one of a GeoPackage"

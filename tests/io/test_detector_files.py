@@ -190,7 +190,8 @@ def test_labels_of_yolo(tail: str, tmp_path: Path) -> None:
             assert (tracks[0].score is not None) == (tail == "confidence")
     assert "image_size" in refused(tmp_path / "run", fps=10, image_size="wide").found
     assert "--image-size" in refused(tmp_path / "run", fps=10, metres_per_pixel=SCALE).expected
-    assert "16:9" in " ".join(gt.read(tmp_path / "run", fps=10).summary.notes)
+    notes = " ".join(gt.read(tmp_path / "run").summary.notes)
+    assert "16:9" in notes and "25 Hz assumed" in notes
     assert "from_ultralytics" in refused(tmp_path / "run/labels/walk_2.txt", fps=10).expected
     (tmp_path / "run/labels/walk_2.txt").write_text("0 0.5 0.5 0.1\n")
     error = refused(tmp_path / "run", fps=10)

@@ -311,19 +311,18 @@ YOLO = Format(
     description="folder of YOLO's labels: a text a frame, boxes relative to the image, ids optional",
     suffixes=(),
     cells=read_labels,
+    default_fps=25.0,
 )
 
 # -- Stanford Drone Dataset ----------------------------------------------------------------------------------
 
 _SDD = ("track_id", "left", "top", "right", "bottom", "frame", "lost", "occluded", "generated", "class")
-SDD_FPS = 30.0
 
 
 def read_sdd(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
     """Read annotations of the Stanford Drone Dataset: ``id xmin ymin xmax ymax frame lost … "label"``.
 
-    The view is from above: a person stands at the middle of the box. Rows marked as lost are left out. 30
-    frames a second unless ``fps`` is given.
+    The view is from above: a person stands at the middle of the box. Rows marked as lost are left out.
     """
     rows = [(number, line.split()) for number, line in enumerate(source.lines, 1) if line.strip()]
     for number, cells in rows:
@@ -335,11 +334,9 @@ def read_sdd(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
     }
     table = Cells(source.path, "sdd", columns, lambda row: rows[row][0])
     left, top, right, bottom = (numbers(table, name) for name in _SDD[1:5])
-    lost, frame = numbers(table, "lost"), numbers(table, "frame")
+    lost = numbers(table, "lost")
     columns = {name: columns[name] for name in ("track_id", "frame", "class")}
     columns |= {"u": (left + right) / 2.0, "v": (top + bottom) / 2.0}
-    if options.fps is None:
-        columns["t"] = frame / SDD_FPS
     table = Cells(source.path, "sdd", columns, table.line_of).keep(lost == 0.0, "marked as lost")
     people = of_classes(table, Layout({CLASS: CLASS}), options)
     return replace(people, columns={name: people.columns[name] for name in columns if name != CLASS})
@@ -350,4 +347,5 @@ SDD = Format(
     description='Stanford Drone Dataset: id xmin ymin xmax ymax frame lost occluded generated "label"',
     suffixes=(),
     cells=read_sdd,
+    default_fps=30.0,
 )
