@@ -177,6 +177,7 @@ def cite(
 
     Parameters
     ----------
+    inputs : Tracks or detections, to say what was read of them.
     engine : Of the run; isam2 and fixed-lag are those of track.
     bibtex : Print the BibTeX entry of this version too.
     """

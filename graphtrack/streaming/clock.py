@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from graphtrack.inference.state import pack_observation, unpack_observation
 from graphtrack.model import Observation
-from graphtrack.saved import Saved, count, integer, real
+from graphtrack.saved import Saved, count, integer, real, unpack
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 PLAUSIBLE = 60.0
@@ -122,7 +122,7 @@ class StreamClock(Saved):
         """Take over a `state`."""
         self.now = None if state["now"] is None else real(state["now"])
         self.times = count(state["times"])
-        self.newest = {str(sensor): real(t) for sensor, t in state["newest"]}
+        self.newest = unpack(state["newest"], dict[str, float])
         self.last_row = {integer(person): real(at) for person, at in state["last_row"]}
         self.waiting = [
             (None if key is None else integer(key), unpack_observation(one)) for key, one in state["waiting"]

@@ -455,8 +455,6 @@ class StreamNames:
             if not (is_column(key) or key in ANGLES) or name in layout.wild.values():
                 raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
         unit = layout.time_unit or "s"
-        if unit == "iso":
-            unit = "s"  # recognised in the first row
         if unit not in NANOSECONDS_IN:
             raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS_IN)}")
         if layout.units is not None or layout.crs is not None:

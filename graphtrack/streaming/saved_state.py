@@ -393,7 +393,7 @@ class Saving:
         with self._naming_the_file():
             header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
-            answers = [list(one) for one in header["again"]]
+            answers = _answers_of(header["again"])
             people.restore_shared(header["shared"])
             first_row = 1 + header["people"]
             known = set()
@@ -501,6 +501,15 @@ def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
     if type(track_id) not in (int, str) or not isinstance(state, dict) or len(entry) != 2:
         raise ValueError(f"a state of {track_id!r} that is a {type(state).__name__}")
     return track_id, state
+
+
+def _answers_of(value: Any) -> list[list[dict[str, Any]]]:
+    """Return the answers that a header holds; ValueError if it has another form."""
+    if not isinstance(value, list) or not all(isinstance(one, list) for one in value):
+        raise ValueError(f"answers {str(value)[:60]}")
+    if not all(isinstance(row, dict) for one in value for row in one):
+        raise ValueError(f"answers {str(value)[:60]}")
+    return value
 
 
 def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
