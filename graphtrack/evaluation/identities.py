@@ -722,6 +722,8 @@ def _numbered_apart(
     counts: Counts,
 ) -> tuple[str, ...]:
     """Return a note if the estimates match better one frame later or earlier: one side counts from 0."""
+    if not len(truth.frame) or not len(estimates.frame):
+        return ()
     ends = {int(end(truth.frame) - end(estimates.frame)) for end in (np.min, np.max)}
     now = figures("", counts, threshold).idf1
     for shift in sorted(ends & {-1, 1}):
