@@ -60,6 +60,7 @@ def of_track(lines):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
+@pytest.mark.slow
 def test_no_row_is_used_twice_or_lost_while_the_service_is_killed_ten_times(tmp_path):
     """Of two streams, one of people with identities and one of detections."""
     sent = [json.loads(line) for line in rows(40)]
