@@ -90,7 +90,7 @@ class HeadGraphParameters:
     speed_std: float = 3.0
     size_density: float = 0.02
     size_rate_std: float = 0.1
-    usual_std: float = 0.5
+    usual_std: float = 0.25
     pan_diffusion: float = 1.0
     tilt_diffusion: float = 0.5
     place_noise: float = 0.05
