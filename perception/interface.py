@@ -132,9 +132,9 @@ def follow(
     Parameters
     ----------
     video, output, homography, point_pairs, calibration, fps, render : as of `observe`
-    tracker : "mixed-state", "sigma-pi" or "color"
-    init : the target's left, top, width and height in the first frame, pixels; None: mixed-state detects a
-        head, sigma-pi waits for motion
+    tracker : "mixed-state", "head-graph", "sigma-pi", "cue-graph" or "color"
+    init : the target's left, top, width and height in the first frame, pixels; None: trackers of heads
+        detect one, sigma-pi and cue-graph wait for motion
     guided : the graph predicts the next box for the tracker
     particles : their number; None: the tracker's own
     seed : of the random numbers
@@ -142,7 +142,7 @@ def follow(
     middle_at : height of the box's middle above the ground, metres, in place of a foot point
     pan_limit : degrees, largest pan away from the camera
     as_in_the_paper : the published form of the tracker
-    background : images, or folders of images, without the person, for sigma-pi
+    background : images, or folders of images, without the person, for sigma-pi and cue-graph
 
     Returns
     -------

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from graphtrack.constant_velocity import predict_covariance
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -268,6 +269,14 @@ class Estimate:
     def _repr_html_(self) -> str:
         caption = f"Estimate at t = {self.t:.6g} s, frame {self.frame}: {self.status}"
         return html_pairs(caption, self._described())
+
+    def ahead(self, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
+        """Return position (2,) and covariance (2, 2) ``dt`` seconds later, at constant velocity.
+
+        ``acceleration_density``: of white-noise acceleration, m²/s³
+        """
+        covariance = predict_covariance(self.covariance, dt, acceleration_density)
+        return self.position + dt * self.velocity, covariance[:2, :2]
 
     def _described(self) -> dict[str, str]:
         """Return the estimate as text, with 1-σ."""

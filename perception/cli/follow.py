@@ -57,17 +57,17 @@ def follow(
     Parameters
     ----------
     output : File to write: .csv.
-    tracker : mixed-state, sigma-pi, cue-graph or color.
-    init : The target's box in the first frame, in pixels; without it, mixed-state detects a head and
-        sigma-pi and cue-graph wait for motion.
+    tracker : mixed-state, head-graph, sigma-pi, cue-graph or color.
+    init : The target's box in the first frame, in pixels; without it, mixed-state and head-graph
+        detect a head, sigma-pi and cue-graph wait for motion.
     guided : The graph predicts the next box for the tracker.
     particles : Number of particles.
     foot_at : Foot point, in box heights below the box's top; by default 1, or 7.3 for the box of a head with
         a known camera.
     middle_at : For a camera that looks down: height of the box's middle above the ground in metres, instead
         of a foot point. By default with a fisheye: 1, or 1.6 for the box of a head.
-    pan_limit : Degrees: largest pan away from the camera in mixed-state; 90 if heads never turn their backs.
-        By default 180, in the paper 90.
+    pan_limit : Degrees: largest pan away from the camera, of trackers of heads; 90 if heads never turn their
+        backs. By default 180, in the paper 90.
     as_in_the_paper : Use the published form of the tracker, without later improvements.
     background : Image, or folder of images, without the person (furniture), for sigma-pi and
         cue-graph; can be given several times.
@@ -186,10 +186,10 @@ def follow_target(
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
     """Return the initial box; a head is detected if the tracker needs one and no box is given."""
     from perception.following.run import find_head
-    from perception.trackers.registry import WITH_BACKGROUND
+    from perception.trackers.registry import OF_HEADS, WITH_BACKGROUND
 
     if box is not None or tracker in WITH_BACKGROUND:
         return box
-    if tracker == "mixed-state":
+    if tracker in OF_HEADS:
         return find_head(image)
     raise InputError("no target in the first frame", f"--init with its box, for the tracker {tracker}")

@@ -27,6 +27,7 @@ from perception.pose.classes import PoseClasses
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.head_exemplars import HeadExemplars, load_head_exemplars
+from perception.trackers.head_graph import HeadGraphTracker
 from perception.trackers.mixed_state import MEMORY, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxDynamics, BoxEstimate, Proposal, Tracker
 
@@ -112,6 +113,7 @@ def survives(
 SEQUENTIAL, REMEMBERED = "colour, then pose", "colour with memory, then pose"
 JOINT, AS_PRINTED = "mixed-state", "mixed-state, as in the paper"
 OUR_EXEMPLARS = "mixed-state, as in the paper with our exemplars"
+GRAPH = "head-graph"
 
 METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
     SEQUENTIAL: lambda exemplars, seed: ColourTracker(
@@ -125,10 +127,11 @@ METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
         MixedStateParameters.of_the_paper(), exemplars=exemplars, seed=seed
     ),
     JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
+    GRAPH: lambda exemplars, seed: HeadGraphTracker(exemplars=exemplars),
 }
-"""All use the same frames, first box, number of particles and dynamics. The memory of colours is that of
-the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`, with plain exemplars or with
-the exemplars of the others."""
+"""All use the same frames, first box and number of particles or windows; those with particles the same
+dynamics. The memory of colours is that of the mixed-state tracker; as in the paper:
+`MixedStateParameters.of_the_paper`, with plain exemplars or with the exemplars of the others."""
 
 PAN_LIMIT = float(np.pi / 2.0)
 """Largest pan in Ba & Odobez (2003), 90°; all methods use it in their experiment."""

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from scipy.special import logit
 
-from graphtrack.constant_velocity import predict_covariance
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate
@@ -170,7 +169,7 @@ class GraphGuide:
             return False
         assert first.position and newest.position and first.position_std and newest.position_std
         density = self._smoother.model.parameters.motion.acceleration_density
-        expected, covariance = _moved(self._last, newest.t - self._last.t, density)
+        expected, covariance = self._last.ahead(newest.t - self._last.t, density)
         away = np.array(newest.position) - expected
         covariance = covariance + newest.position_std**2 * np.eye(2)
         moved = np.subtract(newest.position, first.position) - since * self._last.velocity
@@ -204,7 +203,7 @@ class GraphGuide:
         if self._last is None or self._last.status == "waiting":
             return None
         density = self._smoother.model.parameters.motion.acceleration_density
-        position, covariance = _moved(self._last, float(seconds(frame, self.clock)) - self._last.t, density)
+        position, covariance = self._last.ahead(float(seconds(frame, self.clock)) - self._last.t, density)
         centre = self.boxes.box_centre(position, self._height)
         if not np.isfinite(centre).all():
             return None
@@ -213,9 +212,3 @@ class GraphGuide:
         if not np.trace(pixel_covariance) < _WIDEST**2:
             return None
         return Proposal(centre, pixel_covariance)
-
-
-def _moved(estimate: Estimate, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
-    """Return position (2,) and covariance (2, 2) ``dt`` seconds after an estimate, at constant velocity."""
-    covariance = predict_covariance(estimate.covariance, dt, acceleration_density)
-    return estimate.position + dt * estimate.velocity, covariance[:2, :2]

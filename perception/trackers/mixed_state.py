@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from graphtrack.baselines.particle_kernels import generator
@@ -108,6 +107,51 @@ class MixedStateParameters:
         )
 
 
+class HeadAppearance:
+    """Likelihood ratios of a head in boxes: its exemplars and, if wanted, its colours so far.
+
+    Parameters
+    ----------
+    exemplars : with the poses that are possible
+    has_colours : whether the head's colours count
+    """
+
+    def __init__(self, exemplars: HeadExemplars, *, has_colours: bool) -> None:
+        self.exemplars, self._has_colours = exemplars, has_colours
+        self._colours: FloatArray | None = None
+
+    def start(self, image: Image, first: FloatArray) -> None:
+        """Start with the box of a state (4,) in an image."""
+        self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0] if self._has_colours else None
+
+    def look(self, image: Image) -> None:
+        """Look at an image."""
+        self._grey = grey(image)
+        self._pixels = None if self._colours is None else hue_bins(image)
+
+    def features(self, boxes: FloatArray) -> FloatArray:
+        """Return the responses (n, 764) in boxes (n, 4)."""
+        patches = cut(self._grey, enlarged(boxes, PATCH_MARGIN), SIDE)
+        return self.exemplars.features(equalised(patches))
+
+    def by_colour(self, boxes: FloatArray) -> FloatArray:
+        """Return the colour terms (n,) of the log ratio in boxes (n, 4)."""
+        if self._colours is None or self._pixels is None:
+            return np.zeros(len(boxes))
+        similarity = bhattacharyya(box_colours(self._pixels, boxes), self._colours)
+        return _SHARPNESS * (similarity - _TYPICAL)
+
+    def remember(self, box: Box, visibility: float) -> dict[str, float]:
+        """Update the colours by those of a box; return the cue "colour", their similarity, if they count."""
+        if self._colours is None or self._pixels is None:
+            return {}
+        here = box_colours(self._pixels, np.array([box]))[0]
+        similarity = float(bhattacharyya(here[None], self._colours)[0])
+        rate = MEMORY * visibility
+        self._colours = (1.0 - rate) * self._colours + rate * here
+        return {"colour": similarity}
+
+
 class MixedStateTracker:
     """Track a head, its pan and its tilt.
 
@@ -144,22 +188,20 @@ class MixedStateTracker:
         self._reach = np.cumsum(self._transitions, axis=1)
         self._shape: tuple[int, int] = (0, 0)
         self._visibility = 1.0
-        self._colours: FloatArray | None = None
+        self._appearance = HeadAppearance(self.exemplars, has_colours=self.parameters.colour)
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
         """Start with the head's box; see `Tracker.start`."""
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
-        self._colours = None
-        n, p = self.parameters.particles, self.parameters
+        n = self.parameters.particles
         self._reference = first[2:]
         self._cloud = Cloud.about(first, n, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box holds a head, whatever its likelihood.
         self._visibility = 1.0
-        if p.colour:
-            self._colours = box_colours(hue_bins(image), boxes_of(first[None]))[0]
+        self._appearance.start(image, first)
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -175,18 +217,18 @@ class MixedStateTracker:
             self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
         else:
             self._belief = self._belief @ self._transitions
-        return self._look(image, self._visibility * (1.0 - _VANISH) + (1.0 - self._visibility) * _APPEAR)
+        return self._look(image, still_visible(self._visibility))
 
     def _look(self, image: Image, visible: float) -> BoxEstimate:
         """Weight the particles by the frame; ``visible`` is the prior probability."""
         before = self._cloud.weights
-        patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
-        features = self.exemplars.features(equalised(patches))
-        of_colour, pixels = self._by_colour(image)
+        self._appearance.look(image)
+        features = self._appearance.features(self._cloud.boxes)
+        of_colour = self._appearance.by_colour(self._cloud.boxes)
         if self.parameters.likelihood == "ratio":
             by_label = self.exemplars.log_ratio(features)
             by_shape = self._over_labels(by_label)
-            weights, self._visibility = _perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
+            weights, self._visibility = perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
             odds = float(before @ np.exp(by_shape))
             like, confidence = odds / (1.0 + odds), self._visibility
         else:
@@ -196,9 +238,7 @@ class MixedStateTracker:
             like = confidence = float(weights @ fit)
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
-        cues = {"exemplars": like}
-        if pixels is not None:
-            cues["colour"] = self._remember(pixels, box)
+        cues = {"exemplars": like} | self._appearance.remember(box, self._visibility)
         of_labels = weights @ self._labels()
         return BoxEstimate(
             box=box,
@@ -223,23 +263,6 @@ class MixedStateTracker:
         self._belief = np.exp(joint - total[:, None])
         return total
 
-    def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
-        """Return the colour terms of the log ratio (n,), and the bins (h, w) of the frame."""
-        if self._colours is None:
-            return np.zeros(len(self._cloud.weights)), None
-        pixels = hue_bins(image)
-        similarity = bhattacharyya(box_colours(pixels, self._cloud.boxes), self._colours)
-        return _SHARPNESS * (similarity - _TYPICAL), pixels
-
-    def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
-        """Return the colour similarity at the estimate, and update the histogram if visible."""
-        assert self._colours is not None
-        here = box_colours(pixels, np.array([box]))[0]
-        similarity = float(bhattacharyya(here[None], self._colours)[0])
-        rate = MEMORY * self._visibility
-        self._colours = (1.0 - rate) * self._colours + rate * here
-        return similarity
-
     def _labels(self) -> FloatArray:
         """Return the distribution (n, labels) of each particle's label."""
         if self.parameters.labels == "summed":
@@ -253,14 +276,23 @@ class MixedStateTracker:
 
     def _pan_likelihood(self, ratio: FloatArray, weights: FloatArray) -> FloatArray:
         """Return p(z|pan) (n_pan,), over boxes and tilts, from the current frame only."""
-        poses = self.exemplars.pose_log_likelihood(ratio)
-        with np.errstate(divide="ignore"):
-            over_boxes = logsumexp(poses + np.log(weights)[:, None], axis=0)
+        over_boxes = over(self.exemplars.pose_log_likelihood(ratio), weights)
         pans = self.exemplars.classes.pan_log_likelihood(over_boxes)
         return np.exp(pans - logsumexp(pans))
 
 
-def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) -> tuple[FloatArray, float]:
+def over(log_likelihood: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the logarithm (k,) of the weighted sum over boxes, from log likelihoods (n, k)."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(logsumexp(log_likelihood + np.log(weights)[:, None], axis=0))
+
+
+def still_visible(visibility: float) -> float:
+    """Return the probability that the head is visible in the next frame."""
+    return visibility * (1.0 - _VANISH) + (1.0 - visibility) * _APPEAR
+
+
+def perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) -> tuple[FloatArray, float]:
     """Return weights (n,) from likelihood ratios (n,) of a head that may be hidden, and P(visible)."""
     evidence = float(before @ likelihood)
     weights = before * (1.0 - visible + visible * likelihood)

@@ -11,6 +11,7 @@ from graphtrack.errors import InputError
 from perception.images.pixels import Image
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.cue_graph import CueGraphParameters, CueGraphTracker
+from perception.trackers.head_graph import HeadGraphParameters, HeadGraphTracker
 from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
 from perception.trackers.sigma_pi import SigmaPiTracker
 from perception.trackers.sigma_pi_network import SigmaPiParameters
@@ -20,15 +21,16 @@ _KINDS: dict[str, tuple[Any, Any]] = {
     "mixed-state": (MixedStateTracker, MixedStateParameters),
     "sigma-pi": (SigmaPiTracker, SigmaPiParameters),
     "cue-graph": (CueGraphTracker, CueGraphParameters),
+    "head-graph": (HeadGraphTracker, HeadGraphParameters),
     "color": (ColourTracker, ColourParameters),
 }
 TRACKERS = tuple(_KINDS)
-OF_HEADS = ("mixed-state",)
+OF_HEADS = ("mixed-state", "head-graph")
 """Trackers of a head's box."""
 WITH_BACKGROUND = ("sigma-pi", "cue-graph")
 """Trackers of a person, which take background images and need no first box."""
-IN_THE_GRAPH = ("cue-graph",)
-"""Trackers without particles, and without a published form."""
+IN_THE_GRAPH = {"cue-graph": "sigma-pi", "head-graph": "mixed-state"}
+"""Trackers without particles → the published form, with particles."""
 
 
 def parameters_of(name: str, *, as_in_the_paper: bool = False) -> Any:
@@ -42,7 +44,9 @@ def parameters_of(name: str, *, as_in_the_paper: bool = False) -> Any:
     if name not in _KINDS:
         raise InputError(f"tracker {name!r}", f"one of {', '.join(TRACKERS)}")
     if as_in_the_paper and name in IN_THE_GRAPH:
-        raise InputError(f"{name} as in the paper", "sigma-pi, the published form with particles")
+        raise InputError(
+            f"{name} as in the paper", f"{IN_THE_GRAPH[name]}, the published form with particles"
+        )
     kind = _KINDS[name][1]
     return kind.of_the_paper() if as_in_the_paper else kind()
 
