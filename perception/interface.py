@@ -21,9 +21,12 @@ def _path(given: str | Path | None) -> Path | None:
 
 
 def _camera(
-    homography: str | Path | None, calibration: str | Path | None, fps: float | None
+    homography: str | Path | None,
+    calibration: str | Path | None,
+    point_pairs: str | Path | None,
+    fps: float | None,
 ) -> CameraOptions:
-    return CameraOptions(_path(homography), _path(calibration), fps)
+    return CameraOptions(_path(homography), _path(calibration), _path(point_pairs), fps)
 
 
 def observe(
@@ -34,6 +37,7 @@ def observe(
     boxes_first_frame: int | None = None,
     homography: str | Path | None = None,
     calibration: str | Path | None = None,
+    point_pairs: str | Path | None = None,
     fps: float | None = None,
     homographies: str | Path | None = None,
     poses: str | Path | None = None,
@@ -56,7 +60,8 @@ def observe(
     output : table to write; an interrupted run with the same output continues
     boxes : people's boxes (MOT text, COCO JSON, CAVIAR XML); None: people are detected
     boxes_first_frame : number of the recording's first frame in ``boxes``
-    homography, calibration : file of the camera, one of both; None: positions are pixels times a scale
+    homography, calibration, point_pairs : file of the camera, one of them; None: positions are pixels times a
+        scale
     fps : frames a second; None: the video's, or 25
     homographies : file with one homography a frame, image to ground, of a camera that moves
     poses : file with the poses of the vehicle that carries the camera, whose view in the vehicle's frame is
@@ -84,7 +89,7 @@ def observe(
     job = ObserveJob(
         Path(video),
         _path(output),
-        _camera(homography, calibration, fps),
+        _camera(homography, calibration, point_pairs, fps),
         MotionOptions(
             _path(homographies), _path(poses), pose_axes, video_start, follow_camera, reference_frame
         ),
@@ -107,6 +112,7 @@ def follow(
     *,
     homography: str | Path | None = None,
     calibration: str | Path | None = None,
+    point_pairs: str | Path | None = None,
     fps: float | None = None,
     tracker: str = "mixed-state",
     init: tuple[float, float, float, float] | None = None,
@@ -124,7 +130,7 @@ def follow(
 
     Parameters
     ----------
-    video, output, homography, calibration, fps, render : as of `observe`
+    video, output, homography, calibration, point_pairs, fps, render : as of `observe`
     tracker : "mixed-state", "sigma-pi" or "color"
     init : the target's left, top, width and height in the first frame, pixels; None: mixed-state detects a
         head, sigma-pi waits for motion
@@ -150,7 +156,7 @@ def follow(
     return follow_target(
         Path(video),
         _path(output),
-        _camera(homography, calibration, fps),
+        _camera(homography, calibration, point_pairs, fps),
         tracker=tracker,
         init=init,
         guided=guided,
@@ -174,7 +180,9 @@ def report(
     boxes_first_frame: int | None = None,
     homography: str | Path | None = None,
     calibration: str | Path | None = None,
+    point_pairs: str | Path | None = None,
     fps: float | None = None,
+    network: NetworkOptions | None = None,
     adapt: bool = True,
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: float = 1.7,
@@ -184,8 +192,8 @@ def report(
 
     Parameters
     ----------
-    video, boxes, boxes_first_frame, homography, calibration, fps : as of `observe`; without a camera its view
-        is estimated from the boxes
+    video, boxes, boxes_first_frame, homography, calibration, point_pairs, fps, network : as of `observe`;
+        without a camera its view is estimated from the boxes
     output : folder to write or to continue
     adapt : fit the camera's own models of body and head first
     method : "smoother": the graph, offline; "ffbs", "particle": the joint particle filter, offline and
@@ -206,7 +214,8 @@ def report(
     run = report_folder(
         Path(video),
         Path(output),
-        _camera(homography, calibration, fps),
+        _camera(homography, calibration, point_pairs, fps),
+        network or NetworkOptions(),
         boxes=_path(boxes),
         boxes_first_frame=boxes_first_frame,
         adapt=adapt,

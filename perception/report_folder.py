@@ -35,11 +35,14 @@ from perception.storage import key_of
 
 STAGES = "stages.json"
 """Completed stages and their messages."""
+RECORDING = "recording.mkv"
+"""Recording of a live source."""
 TRACKS = "tracks.csv"
 """Estimates; `graphtrack.read` of the folder reads them."""
 
 FILES = {
     "boxes": "boxes.txt",
+    "keypoints": "keypoints.json",
     "calibration": "calibration.ci",
     "models": "camera.npz",
     "observations": "observations.csv",

@@ -138,6 +138,8 @@ def _time_stamps(path: Path, rate: float) -> FloatArray | None:
     """Return seconds (n,) of a video's frames since the first; None at a constant rate, or if unknown."""
     try:
         with _opened(path) as container:
+            if _is_raw(container):
+                return None
             stream = container.streams.best("video")
             packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
             ticks = sorted(packet.pts for packet in packets if packet.pts is not None)
@@ -155,7 +157,8 @@ def _time_stamps(path: Path, rate: float) -> FloatArray | None:
 
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
-_DOUBT = 0.9  # share of the frames that a duration promises, below which a video has ended early
+_DOUBT = 0.9  # share of its duration at which a video without a number of frames has ended early
+_LAST = 1.0  # seconds that its last frame may be shown
 
 Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
 """Starts a progress report with a total and a unit; yields a function that receives completed counts."""
@@ -209,7 +212,11 @@ class FrameSource:
         try:
             with _opened(path) as container:
                 stream = container.streams.best("video")
-                rate, count = float(stream.guessed_rate or 0), _declared(container)[0]
+                rate = float(stream.guessed_rate or 0)
+                frames, seconds = _declared(container)
+                count = (
+                    frames or round(seconds * rate) or sum(one.size > 0 for one in container.demux(stream))
+                )
         except av.FFmpegError as error:
             raise InputError("no video that can be decoded", expected, path=path) from error
         found = (decoded for decoded in _decoded(path) if not isinstance(decoded, str))
@@ -411,15 +418,18 @@ def _opened(path: Path) -> Iterator[Any]:
         yield container
 
 
-def _declared(container: Any) -> tuple[int, bool]:
-    """Return the number of frames by the metadata of a video, and whether that is a count or a duration."""
+def _is_raw(container: Any) -> bool:
+    """Return True for a stream without a container, whose time stamps are invented (AVFMT_NOTIMESTAMPS)."""
+    return bool(container.format.flags & 0x80)
+
+
+def _declared(container: Any) -> tuple[int, float]:
+    """Return the number of frames and the duration in seconds by the metadata of a video; 0 if unknown."""
     stream = container.streams.best("video")
-    if stream.frames:
-        return stream.frames, True
-    seconds = (container.duration or 0) / av.time_base
-    if stream.duration:
-        seconds = float(stream.duration * stream.time_base)
-    return round(seconds * float(stream.guessed_rate or 0)), False
+    if _is_raw(container):
+        return 0, 0.0  # a duration from a guessed bit rate
+    seconds = float(stream.duration * stream.time_base) if stream.duration else 0.0
+    return stream.frames, seconds or (container.duration or 0) / av.time_base
 
 
 def _decoded(path: Path) -> Iterator[av.VideoFrame | str]:
@@ -430,11 +440,12 @@ def _decoded(path: Path) -> Iterator[av.VideoFrame | str]:
     """
     with _opened(path) as container:
         stream = container.streams.best("video")
-        declared, counted = _declared(container)
+        declared, duration = _declared(container)
         failed: list[int | None] = []  # time stamps of undecodable frames that are not yielded yet
         number = 0
+        times: list[float] = []  # of the first frame and the newest
         for packet in _packets(container, stream):
-            declared -= packet is not None and counted and packet.is_discard
+            declared -= packet is not None and packet.is_discard and declared > 0
             try:
                 frames = stream.codec_context.decode(packet)
             except av.FFmpegError:
@@ -447,9 +458,13 @@ def _decoded(path: Path) -> Iterator[av.VideoFrame | str]:
                 failed = [one for one in failed if one not in before]
                 yield from ["frame {} cannot be decoded"] * len(before)
                 yield frame
+                if frame.pts is not None:
+                    times = [*times[:1], float(frame.pts * stream.time_base)]
                 number += 1 + len(before)
-        if number < declared * (1.0 if counted else _DOUBT):
+        if number < declared:
             yield f"the video ends at frame {{}} of {declared}"
+        elif not declared and times and times[-1] - times[0] + _LAST < _DOUBT * duration:
+            yield f"the video ends at frame {{}}, after {times[-1] - times[0]:.1f} of {duration:.1f} s"
 
 
 def _packets(container: Any, stream: Any) -> Iterator[Any]:
