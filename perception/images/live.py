@@ -203,11 +203,11 @@ class LiveFrames:
                 container = av.open(address, options=options, timeout=_TIMEOUT)
         except (av.FFmpegError, OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or str(error)
-            raise InputError(f"no video ({why})", expected, path=self.path) from error
+            raise InputError(f"no video ({why})", expected, path=self.source.name) from error
         stream = container.streams.best("video")
         if stream is None or stream.codec_context is None:
             container.close()
-            raise InputError("no video stream", expected, path=self.path)
+            raise InputError("no video stream", expected, path=self.source.name)
         self._size = stream.codec_context.width, stream.codec_context.height
         check_pixels(self.path, *self._size)
         return container
@@ -246,7 +246,9 @@ class LiveFrames:
             while not self._stopped.wait(wait):
                 if time.monotonic() - lost > self._reconnect:
                     expected = f"a source that comes back within {self._reconnect:g} s (--reconnect)"
-                    raise InputError(f"a connection that was lost ({reason})", expected, path=self.path)
+                    raise InputError(
+                        f"a connection that was lost ({reason})", expected, path=self.source.name
+                    )
                 wait = min(2.0 * wait, _WAITS[1])
                 with suppress(InputError):
                     self._container = self._open()
@@ -364,7 +366,7 @@ def record(frames: LiveFrames, path: Path, seconds: float | None) -> int:
         if stream is not None:
             container.mux(stream.encode())
     if not count:
-        raise InputError("no frame", "a live source with video", path=frames.path)
+        raise InputError("no frame", "a live source with video", path=frames.source.name)
     return count
 
 

@@ -36,7 +36,7 @@ MOTIONS = {
     "pans": (lambda k: 20.0 + 6.0 * k, True),
     "pans slowly": (lambda k: 100.0 + 0.5 * k, True),
     "hand-held": (lambda k: 100.0 + 12.0 * np.sin(1.7 * k), True),
-    "is turned once": (lambda k: 100.0 + 60.0 * (k > 30), True),
+    "is turned once": (lambda k: 100.0 + 25.0 * (k > 30), True),
 }
 
 
