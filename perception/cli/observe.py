@@ -380,7 +380,8 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     camera, clock = job.camera.on_ground(), job.camera.clock(frames)
     _, frames_place, models_place = _output_paths(place)
     one_size = job.motion.follow_camera or (render is not None and is_video(render))
-    notes = notes_on_frames(frames, clock, people or (), reports, fps=job.camera.fps, moves=job.motion.moves)
+    known = () if people is None and networks.known is not None else people
+    notes = notes_on_frames(frames, clock, known, reports, fps=job.camera.fps, moves=job.motion.moves)
     with ExitStack() as unfinished:
         asked, view = (networks.asked,), job.searched_camera
         alone = causal or job.motion.moves  # a background moves

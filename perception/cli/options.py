@@ -134,7 +134,7 @@ class CameraOptions:
 def notes_on_frames(
     frames: FrameSource,
     clock: Clock,
-    people: Iterable[PersonBox],
+    people: Iterable[PersonBox] | None,
     reports: Reports,
     *,
     fps: float | None,
@@ -144,18 +144,21 @@ def notes_on_frames(
 
     Parameters
     ----------
-    people : their boxes are no background
+    people : known ones, whose boxes are no background; None: people are searched for
     fps : the requested rate; None: the recording's
     moves : whether the camera is known to move
 
     Raises
     ------
     InputError
-        If the recording shows nothing.
+        If the recording shows nothing in which people can be searched for.
     """
     from perception.ground.inspection import inspected
 
-    found = inspected(frames, clock, people, reports.progress)
+    found = inspected(frames, clock, people or (), reports.progress)
+    if people is None and found.nothing_shown:
+        expected = "a video that shows something; this one is empty, or decoded wrongly"
+        raise InputError(f"one colour in all {found.count} inspected frames", expected, path=frames.path)
     return [*rate_note(frames, clock, fps), *found.notes(moves=moves)]
 
 

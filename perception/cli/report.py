@@ -233,7 +233,8 @@ class _Run:
         networks = self.networks
 
         def work(key: str) -> list[str]:
-            notes = notes_on_frames(self.frames, self.clock, given or (), self.reports, fps=self.clock.rate)
+            known = () if given is None and networks.known is not None else given
+            notes = notes_on_frames(self.frames, self.clock, known, self.reports, fps=self.clock.rate)
             for path in (detected, points):
                 path.unlink(missing_ok=True)
             refused = dict.fromkeys(left_out)

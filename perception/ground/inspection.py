@@ -114,7 +114,11 @@ class FrameInspection:
     def notes(self, *, moves: bool = False) -> list[str]:
         """Return notes on the frames; ``moves``: the camera is known to move."""
         lines = []
-        if self.uniform:
+        if self.nothing_shown:
+            lines.append(
+                f"ONE COLOUR in all {self.count} inspected frames: the video is empty, or decoded wrongly"
+            )
+        elif self.uniform:
             lines.append(
                 f"{len(self.uniform)} of {self.count} inspected frames have one colour, such as frame "
                 f"{self.uniform[0]}"
@@ -164,13 +168,7 @@ def _unmoved(first: Image, second: Image) -> float:
 def inspected(
     frames: FrameSource, clock: Clock, boxes: Iterable[PersonBox], progress: Progress
 ) -> FrameInspection:
-    """Inspect pairs of frames spread over a recording.
-
-    Raises
-    ------
-    InputError
-        If all of them have one colour.
-    """
+    """Inspect pairs of frames spread over a recording; ``boxes`` of people are no background."""
     numbers = np.array(frames.numbers() if frames.fps is None else range(frames.count))
     times = clock.seconds(numbers)
     every = float(times[-1] - times[0]) / _MOMENTS
@@ -182,7 +180,4 @@ def inspected(
             if frame.image is not None:
                 at = float(clock.seconds(frame.number))
                 found.add(frame.number, frame.image, at, people.get(frame.number, ()))
-    if found.nothing_shown:
-        expected = "a video that shows something; this one is black, or decoded wrongly"
-        raise InputError(f"one colour in all {found.count} inspected frames", expected, path=frames.path)
     return found

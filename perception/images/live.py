@@ -325,9 +325,9 @@ class LiveFrames:
         since, received, dropped = self._shown
         taken = self.received - received - (self.dropped - dropped)
         rate = taken / max(time.monotonic() - since, 1e-3)
-        late = f", latency {np.median(self._latency):.2f} s" if self._latency else ""
+        latency = f", latency {np.median(self._latency):.2f} s" if self._latency else ""
         lost = "" if self.waits else f", {self.dropped} of {self.received} dropped"
-        return f"{rate:.1f} frames a second{lost}{late}"
+        return f"{rate:.1f} frames a second{lost}{latency}"
 
 
 def _device_format() -> str:
