@@ -158,7 +158,8 @@ def notes_on_frames(
     found = inspected(frames, clock, people or (), reports.progress)
     if people is None and found.nothing_shown:
         expected = "a video that shows something; this one is empty, or decoded wrongly"
-        raise InputError(f"one colour in all {found.count} inspected frames", expected, path=frames.path)
+        nothing = f"a recording without people: one colour in all {found.count} inspected frames"
+        raise InputError(nothing, expected, path=frames.path)
     return [*rate_note(frames, clock, fps), *found.notes(moves=moves)]
 
 

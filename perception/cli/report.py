@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,9 +122,15 @@ def record_live(source: str, output: Path, seconds: float | None, reconnect: flo
         expected = f"another folder, or `perception report {recording} -o {output}` to go on with it"
         raise InputError("a folder with a recording", expected, path=output)
     with LiveFrames(address, reconnect=reconnect, report=reports.emit) as frames:
+        is_new = not output.exists()
         folder.open()
         reports.emit(f"recording {address.name}" + ("" if seconds else "; Ctrl-C ends it"))
-        count = record(frames, recording, seconds)
+        try:
+            count = record(frames, recording, seconds)
+        except InputError:
+            if is_new and not frames.received:
+                shutil.rmtree(output)
+            raise
         reports.emit(f"recorded {counted(count, 'frame')}: {frames.state()}")
     return recording
 

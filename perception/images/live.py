@@ -319,6 +319,11 @@ class LiveFrames:
                 self._report(f"  live: {self.state()}")
                 self._latency.clear()
                 self._shown = (time.monotonic(), self.received, self.dropped)
+        if not self.received:
+            expected = (
+                "video; an MP4 needs its index in front (-movflags frag_keyframe+empty_moov), or MPEG-TS"
+            )
+            raise InputError("a stream without a frame", expected, path=self.source.name)
 
     def state(self) -> str:
         """Describe rate, dropped frames, and latency from arrival to output, since the last report."""
@@ -343,7 +348,7 @@ def record(frames: LiveFrames, path: Path, seconds: float | None) -> int:
     Raises
     ------
     InputError
-        If the size of the frames changes, or there are none.
+        If the size of the frames changes, or as `LiveFrames` raises it.
     """
     count, newest = 0, -1
     stream: Any = None
@@ -365,8 +370,6 @@ def record(frames: LiveFrames, path: Path, seconds: float | None) -> int:
                 count += 1
         if stream is not None:
             container.mux(stream.encode())
-    if not count:
-        raise InputError("no frame", "a live source with video", path=frames.source.name)
     return count
 
 

@@ -160,6 +160,18 @@ def test_text_on_a_pipe_is_no_video(monkeypatch: pytest.MonkeyPatch) -> None:
     assert done.returncode == 2 and "found text" in done.stderr
 
 
+def test_an_mp4_with_its_index_at_the_end_is_no_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noise = [RNG.integers(0, 256, (96, 128, 3)).astype(np.uint8) for _ in range(60)]  # more than a buffer
+    data = encoded(tmp_path / "a.mp4", noise, "mpeg4", options=FINE).read_bytes()
+    for arguments in (["observe", "-", "-o", "-"], ["report", "-", "--live", "-o", tmp_path / "out"]):
+        monkeypatch.setattr(sys, "stdin", Standard(data))
+        done = run(*arguments)
+        assert done.returncode == 2 and "standard input" in done.stderr and "MP4" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
