@@ -1,13 +1,16 @@
 """Draw the pictures of README and documentation: ``python docs/pictures.py``, by ``make pictures``.
 
 `docs/images/replay.gif` replays a simulated scene, `docs/images/factor_graph.png` has three frames of the
-factor graph, and `docs/images/tutorial.png` is what the code of the tutorial draws.
+factor graph, `docs/images/tutorial.png` is what the code of the tutorial draws, and `docs/images/report.png`
+is the top of a report, as Chromium shows it.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
+import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +24,9 @@ from matplotlib.patches import Circle, Ellipse, FancyArrow
 from PIL import Image
 
 import graphtrack as gt
-from graphtrack.simulation.scenario import scenario
+from graphtrack.interaction.attention import attention
+from graphtrack.simulation.degrade import add_noise
+from graphtrack.simulation.scenario import party, scenario
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, person_colour
 
 IMAGES = Path(__file__).parent / "images"
@@ -31,6 +36,7 @@ BEGIN, TRAIL, DOTS = 2.5, 3.5, 2.5
 """Seconds: where the replay begins in the scene; how long paths and observations of a person stay."""
 MIDDLES = ((-1.5, 1.4), (1.5, 0.2), (-5.5, -1.8), (3.5, -3.0), (6.5, 1.0), (-3.5, 2.9))
 """Metres: where each person is in the middle of the replay, so that all are in the picture."""
+NAMES = ("Anna", "Ben", "Cleo", "Dan", "Eva", "Finn", "Gül", "Hana")
 HALF_WIDTH, HALF_HEIGHT = 11.0, 6.6
 
 
@@ -39,8 +45,36 @@ def main() -> None:
     factor_graph(IMAGES / "factor_graph.png")
     replay(IMAGES / "replay.gif")
     tutorial(IMAGES / "tutorial.png")
-    for name in ("factor_graph.png", "replay.gif", "tutorial.png"):
+    report(IMAGES / "report.png")
+    for name in ("factor_graph.png", "replay.gif", "tutorial.png", "report.png"):
         print(f"{name}: {(IMAGES / name).stat().st_size / 1024:.0f} KiB")
+
+
+def report(path: Path, width: int = 1100, height: int = 1180) -> None:
+    """Write the top of a report on a party, if Chromium is there; else keep the picture."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        print("report.png: not drawn again, for there is no Chromium")
+        return
+    rng = np.random.default_rng(4)
+    met = party(rng, people=8, steps=120).tracks
+    estimates = gt.smooth(add_noise(met, position_std=0.05, body_kappa=4.0, head_kappa=4.0, rng=rng))
+    names = dict(zip((track.track_id for track in estimates), NAMES, strict=True))
+    named = estimates.map(lambda track: replace(track, label=names[track.track_id]))
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "report.html"
+        gt.write_report(page, named, groups=gt.groups(named), attention=attention(named), title="A party")
+        size, shot = f"--window-size={width},{height}", f"--screenshot={path.resolve()}"
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--hide-scrollbars",
+            "--virtual-time-budget=4000",
+            size,
+            shot,
+        ]
+        subprocess.run([browser, *options, f"{page.as_uri()}#person=Anna"], check=True, capture_output=True)
+    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(path, optimize=True)
 
 
 def replay(path: Path, seconds: float = 12.0) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
     from graphtrack.inference.graph.recording import key_of
     from graphtrack.interaction.attention import GazeTargets, OnlineAttention
+    from graphtrack.interaction.crowd import CrowdMeasures, crowd_measures
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
     from graphtrack.io.formats.movement import from_movement, to_movement
@@ -51,6 +52,7 @@ __all__ = [
     "AngleConvention",
     "Comparison",
     "Cost",
+    "CrowdMeasures",
     "Estimate",
     "Failure",
     "Forecast",
@@ -90,6 +92,7 @@ __all__ = [
     "associate",
     "chord",
     "compare",
+    "crowd_measures",
     "forecast",
     "from_movement",
     "from_pedpy",
@@ -137,6 +140,7 @@ _HOMES = {
     "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",
     "interaction.attention": "GazeTargets OnlineAttention",
+    "interaction.crowd": "CrowdMeasures crowd_measures",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
     "io.options": "ReadOptions",

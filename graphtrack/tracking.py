@@ -279,7 +279,8 @@ class OnlineTracker(DetectionTracker):
 
     Parameters
     ----------
-    model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
+    model, engine, camera : as in `OnlineSmoother`
+    lag : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
     scene : known parameters of birth, death, detection and clutter: `SceneParameters`, or some by name. The
         rest are those of the model, else learned from the detections
     walkable : as in `OnlineSmoother`; `forecast` predicts no path that leaves it

@@ -22,11 +22,13 @@ def _path(given: str | Path | None) -> Path | None:
 
 def _camera(
     homography: str | Path | None,
-    calibration: str | Path | None,
     point_pairs: str | Path | None,
+    calibration: str | Path | None,
     fps: float | None,
 ) -> CameraOptions:
-    return CameraOptions(_path(homography), _path(calibration), _path(point_pairs), fps)
+    return CameraOptions(
+        _path(homography), point_pairs=_path(point_pairs), calibration=_path(calibration), fps=fps
+    )
 
 
 def observe(
@@ -36,8 +38,8 @@ def observe(
     boxes: str | Path | None = None,
     boxes_first_frame: int | None = None,
     homography: str | Path | None = None,
-    calibration: str | Path | None = None,
     point_pairs: str | Path | None = None,
+    calibration: str | Path | None = None,
     fps: float | None = None,
     homographies: str | Path | None = None,
     poses: str | Path | None = None,
@@ -60,8 +62,7 @@ def observe(
     output : table to write; an interrupted run with the same output continues
     boxes : people's boxes (MOT text, COCO JSON, CAVIAR XML); None: people are detected
     boxes_first_frame : number of the recording's first frame in ``boxes``
-    homography, calibration, point_pairs : file of the camera, one of them; None: positions are pixels times a
-        scale
+    homography, point_pairs, calibration : file of the camera, one of them; None: pixels times a scale
     fps : frames a second; None: the video's, or 25
     homographies : file with one homography a frame, image to ground, of a camera that moves
     poses : file with the poses of the vehicle that carries the camera, whose view in the vehicle's frame is
@@ -89,7 +90,7 @@ def observe(
     job = ObserveJob(
         Path(video),
         _path(output),
-        _camera(homography, calibration, point_pairs, fps),
+        _camera(homography, point_pairs, calibration, fps),
         MotionOptions(
             _path(homographies), _path(poses), pose_axes, video_start, follow_camera, reference_frame
         ),
@@ -111,8 +112,8 @@ def follow(
     output: str | Path | None = None,
     *,
     homography: str | Path | None = None,
-    calibration: str | Path | None = None,
     point_pairs: str | Path | None = None,
+    calibration: str | Path | None = None,
     fps: float | None = None,
     tracker: str = "mixed-state",
     init: tuple[float, float, float, float] | None = None,
@@ -130,7 +131,7 @@ def follow(
 
     Parameters
     ----------
-    video, output, homography, calibration, point_pairs, fps, render : as of `observe`
+    video, output, homography, point_pairs, calibration, fps, render : as of `observe`
     tracker : "mixed-state", "sigma-pi" or "color"
     init : the target's left, top, width and height in the first frame, pixels; None: mixed-state detects a
         head, sigma-pi waits for motion
@@ -156,7 +157,7 @@ def follow(
     return follow_target(
         Path(video),
         _path(output),
-        _camera(homography, calibration, point_pairs, fps),
+        _camera(homography, point_pairs, calibration, fps),
         tracker=tracker,
         init=init,
         guided=guided,
@@ -179,20 +180,21 @@ def report(
     boxes: str | Path | None = None,
     boxes_first_frame: int | None = None,
     homography: str | Path | None = None,
-    calibration: str | Path | None = None,
     point_pairs: str | Path | None = None,
+    calibration: str | Path | None = None,
     fps: float | None = None,
     network: NetworkOptions | None = None,
     adapt: bool = True,
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: float = 1.7,
     seed: int = 0,
+    figures: bool = False,
 ) -> TrackSet:
     """Detect, track and smooth people, and write a folder with tables, video and page: `perception report`.
 
     Parameters
     ----------
-    video, boxes, boxes_first_frame, homography, calibration, point_pairs, fps, network : as of `observe`;
+    video, boxes, boxes_first_frame, homography, point_pairs, calibration, fps, network : as of `observe`;
         without a camera its view is estimated from the boxes
     output : folder to write or to continue
     adapt : fit the camera's own models of body and head first
@@ -200,6 +202,7 @@ def report(
         online; "chain", "isam2", "fixed-lag": the graph, online
     person_height : mean height of people's boxes, metres
     seed : of the random numbers
+    figures : write the figures of the page, and of up to 12 people, as SVG and PDF into its folder figures
 
     Returns
     -------
@@ -214,7 +217,7 @@ def report(
     run = report_folder(
         Path(video),
         Path(output),
-        _camera(homography, calibration, point_pairs, fps),
+        _camera(homography, point_pairs, calibration, fps),
         network or NetworkOptions(),
         boxes=_path(boxes),
         boxes_first_frame=boxes_first_frame,
@@ -222,6 +225,7 @@ def report(
         method=method,
         person_height=person_height,
         seed=seed,
+        figures=figures,
         reports=Reports(),
     )
     return run.read("tracks")

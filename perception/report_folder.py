@@ -18,7 +18,9 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.interaction.attention import attention
 from graphtrack.interaction.groups import groups
 from graphtrack.io.atomic import atomic_path, check_place
+from graphtrack.report.background import Background
 from graphtrack.report.content import Note, Picture, Section
+from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import Behaviour, behaviour_of
 from graphtrack.report.page import tracking_report
@@ -29,7 +31,7 @@ from perception.detection.boxes import PersonBox
 from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import Clock, Frame, FrameSource
-from perception.images.pixels import pictures
+from perception.images.pixels import as_uint8, browser_suffix, pictures
 from perception.observation.tables import BOX
 from perception.storage import key_of
 
@@ -37,6 +39,8 @@ STAGES = "stages.json"
 """Completed stages and their messages."""
 RECORDING = "recording.mkv"
 """Recording of a live source."""
+FIGURES = "figures"
+"""Folder of figures, if they are asked for."""
 TRACKS = "tracks.csv"
 """Estimates; `graphtrack.read` of the folder reads them."""
 
@@ -47,7 +51,7 @@ FILES = {
     "models": "camera.npz",
     "observations": "observations.csv",
     "tracks": TRACKS,
-    "video": "annotated.mp4",
+    "video": f"annotated{browser_suffix()}",
     "above": "above.png",
     "page": "report.html",
     "assumptions": "assumptions.txt",
@@ -284,9 +288,19 @@ def write_video(
     return count
 
 
-def write_above(path: Path, estimates: TrackSet, observations: TrackSet) -> None:
-    """Write an image of all paths from above."""
-    figure = plot_tracks(estimates, observations)
+def background_of(frames: FrameSource, camera: GroundCamera) -> Background | None:
+    """Return the first frame that can be read, as an image on the ground; None without one."""
+    for frame in frames.where(lambda number: True):
+        if frame.image is not None:
+            return Background(np.ascontiguousarray(as_uint8(frame.image)[..., ::-1]), camera)
+    return None
+
+
+def write_above(
+    path: Path, title: str, estimates: TrackSet, observations: TrackSet, background: Background | None
+) -> None:
+    """Write an image of all paths from above, with the people's ids."""
+    figure = plot_tracks(estimates, observations, title=title, background=background)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", dpi=160)
 
@@ -298,6 +312,8 @@ def write_page(
     observations: TrackSet,
     video: Path,
     assumptions: Sequence[str],
+    background: Background | None = None,
+    figures: Path | None = None,
 ) -> None:
     """Write the page, with some frames of the annotated video in it."""
     photos = tuple(
@@ -309,12 +325,15 @@ def write_page(
         estimates,
         observations,
         title=title,
+        background=background,
         behaviour=what_they_do(estimates),
         sections=(
             Section("Frames", (words, *photos)),
             Section("What was assumed", tuple(Note(line) for line in assumptions)),
         ),
     )
+    if figures is not None:
+        write_figures(figures, report, figures_of_people(estimates, observations))
     write_html(path, report)
 
 

@@ -19,7 +19,7 @@ from walks import rotation
 import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference, unit
 from graphtrack.scale import associate_dataset
-from graphtrack.streaming.answers import Asked
+from graphtrack.streaming.behaviour import Asked
 from graphtrack.streaming.session import Answers
 from graphtrack.tracks.track import Track
 

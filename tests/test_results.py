@@ -67,6 +67,11 @@ def test_every_table_is_shown():
     assert {stem for stem in STEMS if not re.search(r"-\d$", stem)} == settings
 
 
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_has_lines_from_the_data(name):
+    assert len(results.block(name).splitlines()) > 2
+
+
 def test_figures_of_a_table_stand_in_the_data_alone():
     for page in results.pages():
         text = page.read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -129,11 +130,35 @@ def test_the_site_has_commands_functions_and_pictures(site):
     assert (site / "notebooks" / "01-smoothing" / "index.html").exists()
 
 
+def test_the_reference_has_choices_ranges_and_descriptions_in_place_of_references(site):
+    def text(page):
+        found = re.sub(r"<[^>]+>", "", (site / page / "index.html").read_text(encoding="utf-8"))
+        return re.sub(r"\s+", " ", found)
+
+    commands = text("reference/commands")
+    assert "--units m, cm, mm, ft Unit of the lengths." in commands
+    assert "--port integer, 0 to 65535" in commands and "--jobs integer, from 1" in commands
+    for page in ("reference/smoothing", "reference/association", "reference/behaviour"):
+        assert not re.search(
+            r"– as (?:in|of|for) (?:solve|smooth|OnlineSmoother|OnlineGroups)\b", text(page)
+        ), page
+
+
+def test_every_page_has_the_version_and_its_neighbours(site):
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    for page in ("report", "results", "how-to/video"):
+        shown = (site / page / "index.html").read_text(encoding="utf-8")
+        assert f"graphtrack {version}" in shown
+        assert "md-footer__link--prev" in shown and "md-footer__link--next" in shown
+    home = (site / "index.html").read_text(encoding="utf-8")
+    assert "pip install" in re.sub("<[^>]*>", "", home)
+
+
 def test_pages_of_results_have_the_tables_of_the_data(site):
-    paths = [*site.glob("results/*/index.html"), site / "papers" / "index.html"]
+    paths = [*site.glob("results/**/index.html"), site / "papers" / "index.html"]
     pages = [path.read_text(encoding="utf-8") for path in paths]
     assert len(pages) > 5 and not any(re.search(r"\[(?:table|setting) ", page) for page in pages)
-    tables = [results.block(name) for name in results.specs() if name not in ("names", "quotes")]
+    tables = [results.block(name) for name in results.specs() if name not in results.NO_TABLES]
     assert sum(page.count("<table>") for page in pages) >= len(tables) - 1  # one is README's
     filters = (site / "results" / "filters" / "index.html").read_text(encoding="utf-8")
     cell = results.block("weight").splitlines()[2].split("|")[4]

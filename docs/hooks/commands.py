@@ -35,7 +35,7 @@ def page() -> str:
         group: Any = typer.main.get_command(app)
         for name, command in sorted(commands_of(group, program).items()):
             lines += [f"## {name}", "", *(command.help or "").split("\n"), ""]
-            lines += [f"```\n{usage(name, command)}\n```", "", *options(command), ""]
+            lines += [f"```\n{usage(name, command)}\n```", "", *options(name, command), ""]
     return "\n".join(lines)
 
 
@@ -56,18 +56,39 @@ def usage(name: str, command: Any) -> str:
     return " ".join([name, *arguments, "[OPTIONS]"])
 
 
-def options(command: Any) -> list[str]:
-    """A table of arguments and options."""
-    rows = ["| option | meaning | |", "|---|---|---|"]
+def options(command_name: str, command: Any) -> list[str]:
+    """A table of arguments and options, with the values that each takes and its default."""
+    rows = ["| option | values | meaning |", "|---|---|---|"]
+    context = command.make_context(command_name, [], resilient_parsing=True)
     for one in command.params:
         if getattr(one, "hidden", False):
             continue
         names = [one.name.upper()] if one.param_type_name == "argument" else [*one.opts, *one.secondary_opts]
         said = MARKS.sub(r"\\\g<0>", " ".join((getattr(one, "help", None) or "").split()))
         default = one.default if one.param_type_name == "option" and not callable(one.default) else None
-        notes = ["required"] if one.required else []
-        if default not in (None, False, (), []):
-            notes.append(f"default {default}")
+        notes = ["Required."] if one.required else []
+        if default not in (None, False, (), []) and "default" not in said.lower():
+            notes.append(f"Default {'yes' if default is True else default}.")
         shown = ", ".join(f"`{option}`" for option in names)
-        rows.append(f"| {shown} | {said} | {'; '.join(notes)} |")
+        rows.append(f"| {shown} | {values(one, context)} | {' '.join([said, *notes])} |")
     return rows
+
+
+WORDS = {"float": "number", "int": "integer", "float range": "number", "int range": "integer", "str": "text"}
+"""Names of types in the help → words of the reference."""
+RANGE = re.compile(r"(?:[-+.\d]+<=?)?\bx(?:[<>]=?[-+.\d]+)?(?=[;\]])")
+"""Range of a number in a line of the help, such as [default: 1; 0<=x<=9]."""
+
+
+def values(one: Any, context: Any) -> str:
+    """What an option takes, as the help has it: its choices, its range, or the kind of value."""
+    if one.param_type_name == "argument" or getattr(one, "is_flag", False):
+        return ""
+    names, text = one.get_help_record(context)
+    kind = (names[names.index("<") :] if "<" in names else names.rpartition(" ")[2]).strip("<>")
+    words = [f"`{word}`" if word.islower() and "|" in kind else word for word in kind.split("|")]
+    limits = RANGE.search(text)
+    ends = re.findall(r"[-+.\d]+", limits[0]) if limits else []
+    least_only = len(ends) == 1 and limits is not None and ">" in limits[0]
+    within = [f"from {ends[0]}" if least_only else " to ".join(ends)] if ends else []
+    return ", ".join([*([WORDS[kind]] if kind in WORDS else words), *within])

@@ -23,9 +23,11 @@ LINK = re.compile(r"\]\((?!\w+:|#)(?P<path>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Set the addresses of the site and of the repository, where ``[project.urls]`` has them."""
+    """Set the version, and the addresses of site and repository where ``[project.urls]`` has them."""
     metadata = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     addresses = metadata.get("urls", {})
+    # In the header of every page.
+    config.site_name = f"{metadata['name']} {metadata['version']}"
     config.site_url = addresses.get("Documentation", config.site_url)
     config.repo_url = addresses.get("Repository", config.repo_url)
     return config

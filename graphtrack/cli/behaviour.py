@@ -1,4 +1,4 @@
-"""Commands `graphtrack groups`, `attention` and `forecast`, and the score of a table of groups."""
+"""Commands `graphtrack groups`, `attention`, `forecast` and `crowd`, and the score of a table of groups."""
 
 from __future__ import annotations
 
@@ -70,6 +70,47 @@ def groups(
     emit(f"wrote {output}: {counted(len(found), 'row')}, {count}, {found.per_frame:.2f} a frame")
     if true is not None:
         show(score_groups(found.frame, found.track_id, found.group, true), json_path)
+
+
+def crowd(
+    inputs: options.Inputs,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", file_okay=False)],
+    reading: options.SceneReading,
+    places: options.InputFile,
+    walkable: options.Walkable = None,
+    model: Smoothing = None,
+    json_path: options.Json = None,
+) -> None:
+    """Measure density, speed and flow in zones and across lines, and count people, with PedPy.
+
+    Parameters
+    ----------
+    output : Folder for zones.csv, density.csv (over time), lines.csv, crossings.csv and flow.csv.
+    places : CSV of zones and lines: name and x, y, radius, or name and polygon (x y x y …), of which two
+        points are a line.
+    """
+    from graphtrack.interaction.crowd import crowd_measures
+    from graphtrack.io.read_write import write_table
+    from graphtrack.report.crowd import LINES, ZONES, shown_rows
+    from graphtrack.tracks.table import with_names
+
+    tables = {name: output / f"{name}.csv" for name in ("zones", "density", "lines", "crossings", "flow")}
+    given = {**reading.inputs(inputs, model), "--places": places, "--walkable": walkable}
+    options.check_outputs({"--output": list(tables.values()), "--json": json_path}, given, to_make=[output])
+    tracks = estimated(reading.tracks(inputs), model)
+    with input_warnings_as_notes():
+        found = crowd_measures(tracks, places, walkable=walkable)
+    summaries = {"Zones": shown_rows(found.zones, ZONES), "Lines": shown_rows(found.lines, LINES)}
+    for title, rows in summaries.items():
+        if rows:
+            print_table(title, rows)
+    output.mkdir(parents=True, exist_ok=True)
+    for name, path in tables.items():
+        if columns := getattr(found, name):
+            named = "track_id" in columns
+            write_table(with_names(columns, tracks.as_read) if named else columns, path)
+    write_json(json_path, {title.lower(): rows for title, rows in summaries.items()})
+    emit(f"wrote {output}")
 
 
 def estimated(tracks: TrackSet, model: str | None) -> TrackSet:

@@ -196,15 +196,18 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
-def write_tracks(tracks: TrackSet, output: Path, *, spreadsheet: bool = False) -> None:
+def write_tracks(
+    tracks: TrackSet, output: Path, *, spreadsheet: bool = False, intervals: float | None = None
+) -> None:
     """Write tracks in the format given by the file name, and print the writer's notes.
 
-    ``spreadsheet``: see `graphtrack.write`
+    ``spreadsheet``: see `graphtrack.write`; ``intervals``: per cent, or None
     """
     from graphtrack.io.read_write import write
 
     with input_warnings_as_notes():
-        write(tracks, output, spreadsheet=spreadsheet)
+        share = None if intervals is None else intervals / 100.0
+        write(tracks, output, spreadsheet=spreadsheet, intervals=share)
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:

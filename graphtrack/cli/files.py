@@ -83,16 +83,28 @@ def _add_constants(rows: Sequence[dict[str, Any]], tracks: TrackSet) -> None:
         row["constants"] = "" if own is None else own.described()
 
 
+_KEPT = (
+    *options.CAMERA,
+    *("image_size", "fps", "classes", "delimiter", "decimal", "encoding", "units", "time_unit", "crs"),
+)
+"""Options that --suggest takes, and keeps in the line that it prints."""
+
+
 def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:
     """Print the command line that reads a file; assumptions are printed as notes."""
     from graphtrack.io.suggestion import suggest
 
-    if len(inputs) != 1 or reading.given() or json_path is not None:
-        raise InputError("--suggest with other options, or several files", "one file, and --suggest alone")
-    found = _with_angles(suggest(inputs[0]), inputs[0])
+    given = reading.given()
+    unknown = [options.option_name(name) for name in given if name not in _KEPT]
+    if len(inputs) != 1 or unknown or json_path is not None:
+        found_ = f"--suggest with {', '.join(unknown) or 'other outputs or several files'}"
+        known = ", ".join(map(options.option_name, _KEPT))
+        raise InputError(found_, f"one file, and no options but {known}")
+    found = _with_angles(suggest(inputs[0], given), inputs[0])
     words = ["graphtrack", "info", str(inputs[0])]
     for name, value in found.options.items():
-        words += [options.option_name(name), value]
+        for one in value if isinstance(value, list) else [value]:
+            words += [options.option_name(name), f"{one:g}" if isinstance(one, float) else str(one)]
     for remark in found.remarks:
         emit(f"  note: {remark}")
     print(printable(shlex.join(words), one_line=True))
@@ -195,6 +207,7 @@ def convert(
     output: options.Output,
     reading: options.MovingReading,
     spreadsheet: Annotated[bool, typer.Option("--spreadsheet")] = False,
+    intervals: options.Intervals = None,
 ) -> None:
     """Write tracks unchanged in another format, given by the ending of the output.
 
@@ -205,6 +218,6 @@ def convert(
     """
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
-    write_tracks(tracks, output, spreadsheet=spreadsheet)
+    write_tracks(tracks, output, spreadsheet=spreadsheet, intervals=intervals)
     people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
     emit(f"wrote {output}: {people}, {rows}")

@@ -96,6 +96,16 @@ Constants = Annotated[
         "model, else default.",
     ),
 ]
+Intervals = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PERCENT",
+        min=1.0,
+        max=99.99,
+        help="Write the intervals of speed, heading, body and head with this probability too: columns "
+        "speed_low, speed_high, heading_deg_low and so on.",
+    ),
+]
 SHOWN_CONSTANTS = 10  # People whose learned constants are printed
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
 Places = Annotated[
@@ -199,6 +209,7 @@ class MetricReading:
         scene: GivenScene = None,
         reference: TrackSet | None = None,
         missed_rows: bool = True,
+        camera_used: bool = False,
     ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
@@ -209,10 +220,11 @@ class MetricReading:
         scene : scene model, for people without identities
         reference : tracks to compare with; times and local metres share its origin
         missed_rows : as in `ReadOptions`
+        camera_used : whether the camera has a use, although the input has no pixels
         """
         from graphtrack.association.associate import tracks_of_rows
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
-        from graphtrack.io.read_write import read_with
+        from graphtrack.io.read_write import NO_PIXELS, read_with
 
         origin = None if reference is None else reference.as_read
         named = replace(self.options(), reference=origin, missed_rows=missed_rows)
@@ -221,10 +233,10 @@ class MetricReading:
             tracks = (
                 read_with(paths, self.format, named, to_tracks) if rows is None else to_tracks(rows, named)
             )
+        if camera_used:
+            used = tuple(note for note in tracks.summary.notes if not note.endswith(NO_PIXELS))
+            tracks = replace(tracks, summary=replace(tracks.summary, notes=used))
         print_summary(tracks, ", ".join(str(path) for path in paths))
-        unused = [option_name(name) for name in CAMERA if name in self.given()]
-        if unused and tracks.camera is None:
-            emit(f"  note: {', '.join(unused)} not used: the input has no pixels")
         if self.select:
             if not all(self.select):
                 expected = "a label, an id or a pattern such as '*walk*'"
@@ -248,13 +260,15 @@ class CameraReading(MetricReading):
     point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
     calibration : Camera calibration (.ci).
     metres_per_pixel : Scale of a view from above, without a homography.
-    classes : Class of object to read (KITTI, MOT); repeat for more.
+    image_size : Width and height of the images in pixels, such as 1920x1080, for boxes relative to them.
+    classes : Class of object to read, where a file has several; repeat for more.
     """
 
     homography: InputFile | None = None
     point_pairs: InputFile | None = None
     calibration: InputFile | None = None
     metres_per_pixel: float | None = None
+    image_size: Annotated[str | None, typer.Option(metavar="WxH")] = None
     classes: Annotated[list[str] | None, typer.Option("--class", metavar="NAME")] = None
 
 

@@ -17,6 +17,8 @@ from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.report.background import Background
     from graphtrack.tracks.track import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
@@ -30,6 +32,10 @@ def report(
     attention: Path | None = None,
     places: Path | None = None,
     forecast: Path | None = None,
+    crowd: Path | None = None,
+    background: Annotated[Path | None, typer.Option(metavar="IMAGE", exists=True, dir_okay=False)] = None,
+    background_corner: Annotated[str | None, typer.Option(metavar="X,Y")] = None,
+    figures: Annotated[Path | None, typer.Option(metavar="FOLDER", file_okay=False)] = None,
     title: str = "Tracks",
 ) -> None:
     """Write an HTML report of existing tracks, with groups, gaze and forecasts.
@@ -37,6 +43,7 @@ def report(
     Parameters
     ----------
     output : Page to write (.html).
+    figures : Folder for the figures of the page, and of up to 12 people, as SVG and PDF.
     title : At the top of the page.
 
     Shown with the tracks
@@ -46,15 +53,25 @@ def report(
     attention : Output of 'graphtrack attention'.
     places : File of gaze targets given to 'graphtrack attention'.
     forecast : Output of 'graphtrack forecast'.
+    crowd : File of zones and lines given to 'graphtrack crowd', to measure density, speed and flow.
+    background : Photo or floor plan to draw under the paths, with --homography, --point-pairs or
+        --calibration, or --metres-per-pixel of a view from above.
+    background_corner : Position in metres of the lower left corner of a view from above; by default its upper
+        left corner is the origin.
     """
     from graphtrack.report.page import write_report
 
     tables = {"--groups": groups, "--attention": attention, "--places": places, "--forecast": forecast}
+    tables |= {"--crowd": crowd}
     options.check_outputs(
-        {"--output": output}, {**reading.inputs(inputs), "--observations": observations, **tables}
+        {"--output": output},
+        {**reading.inputs(inputs), "--observations": observations, "--background": background, **tables},
     )
-    tracks = _in_the_world(inputs, reading)
-    observed = None if not observations else reading.tracks(observations)
+    if background is None and background_corner is not None:
+        raise InputError("--background-corner", "--background with it")
+    tracks = _in_the_world(inputs, reading, background is not None)
+    under = None if background is None else _background(background, background_corner, reading, tracks.camera)
+    observed = None if not observations else reading.tracks(observations, camera_used=under is not None)
     write_report(
         output,
         tracks,
@@ -64,18 +81,53 @@ def report(
         forecast=forecast,
         places=places,
         sensors=reading.sensors,
+        crowd=crowd,
+        background=under,
+        figures=figures,
         title=title,
     )
+    if figures is not None:
+        emit(f"wrote figures: {figures}")
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")
 
 
-def _in_the_world(inputs: list[Path], reading: options.SceneReading) -> TrackSet:
+def _background(
+    path: Path, corner: str | None, reading: options.SceneReading, camera: GroundCamera | None
+) -> Background:
+    """Return an image with the camera or scale of the options, else the camera of the input."""
+    import numpy as np
+
+    from graphtrack.io.cameras import known_camera
+    from graphtrack.report.background import Background
+
+    known, notes = known_camera(reading.options(), np.empty((0, 2)))
+    for note in notes:
+        emit(f"  note: {note}")
+    scale = reading.metres_per_pixel
+    if known is None and scale is not None:
+        return Background.of_plan(path, scale, None if corner is None else _point(corner))
+    if corner is not None:
+        raise InputError("--background-corner", "--metres-per-pixel with it, and no camera")
+    if known is None and camera is None:
+        expected = "--homography, --point-pairs or --calibration, or --metres-per-pixel"
+        raise InputError("a background without a camera or scale", expected, path=path)
+    return Background.read(path, camera if known is None else known)  # type: ignore[arg-type]
+
+
+def _point(text: str) -> tuple[float, float]:
+    numbers = [_number(part) for part in text.split(",")]
+    if len(numbers) != 2 or numbers[0] is None or numbers[1] is None:
+        raise InputError(f"--background-corner {text!r}", "x and y in metres, such as -2.5,0")
+    return numbers[0], numbers[1]
+
+
+def _in_the_world(inputs: list[Path], reading: options.SceneReading, camera_used: bool = False) -> TrackSet:
     """Return tracks; estimates are not corrected for the errors of sensors, since they are in the world."""
     if reading.sensors is None:
-        return reading.tracks(inputs)
-    as_they_are = replace(reading, sensors=None).tracks(inputs)
+        return reading.tracks(inputs, camera_used=camera_used)
+    as_they_are = replace(reading, sensors=None).tracks(inputs, camera_used=camera_used)
     is_estimated = any(track.covariance is not None for track in as_they_are)
-    return as_they_are if is_estimated else reading.tracks(inputs)
+    return as_they_are if is_estimated else reading.tracks(inputs, camera_used=camera_used)
 
 
 def view(

@@ -1,4 +1,4 @@
-"""Commands `graphtrack reproduce`, the papers' experiments, and `graphtrack demo`."""
+"""Commands `graphtrack reproduce`, the papers' experiments, `graphtrack demo` and `graphtrack cite`."""
 
 from __future__ import annotations
 
@@ -116,14 +116,17 @@ def demo(
     import numpy as np
 
     from graphtrack.evaluation.compare import compare
+    from graphtrack.evaluation.observed import observed_calibration
+    from graphtrack.inference.engines import Solution, engine_of
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.report.html import write_html
     from graphtrack.report.lives import pair_tracks
-    from graphtrack.report.page import tracking_report
+    from graphtrack.report.page import observed_section, tracking_report
+    from graphtrack.report.plots import plot_reliability
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
-    from graphtrack.smoothing import smooth
+    from graphtrack.smoothing import prepare
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES)
@@ -132,8 +135,10 @@ def demo(
     options.make_folder(out)
     emit(f"{len(observed)} people, {observed.n_frames} person-frames, simulated; smoothing")
     write(observed, out / OBSERVATIONS)
+    work = prepare(observed, chosen, engine_of(chosen, "auto"))
     with progress_bar(observed.n_frames) as advance:
-        estimates = smooth(observed, chosen, progress=advance)
+        found = [one for one in work.solve(progress=advance) if isinstance(one, Solution)]
+    estimates = work.estimates(found)
     write(estimates, out / ESTIMATES)
     methods = ["kf", "chain", "isam2", "rts", "smoother"]
     emit(f"comparing {', '.join(methods)}")
@@ -141,6 +146,9 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
+    # On the observations, as anybody can have it: against the truth it is in the report.
+    checked = observed_calibration(work.observed, found, work.model)
+    save_figure(plot_reliability(checked, "observations"), out / FIGURES[1])
     save_figure(plot_pairs(pair_tracks(estimates, observed), title="Smoothed tracks"), out / TRACKS)
     report = tracking_report(
         estimates,
@@ -148,6 +156,47 @@ def demo(
         title="graphtrack demo",
         comparison=comparison.rows,
         calibration=comparison.calibration,
+        sections=observed_section(checked),
     )
     write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")
+
+
+def cite(
+    reading: options.SceneReading,
+    inputs: Annotated[list[Path] | None, typer.Argument(metavar="[FILE...]")] = None,
+    model: options.BestModelName = None,
+    engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam|isam2|fixed-lag>")] = "auto",
+    constants: options.Constants = None,
+    bibtex: bool = False,
+) -> None:
+    """Print a methods paragraph and its references, for a paper.
+
+    With files it says what was read and refused. 'graphtrack smooth --report' writes the paragraph with the
+    constants that were learned.
+
+    Parameters
+    ----------
+    inputs : Tracks or detections, to say what was read of them.
+    engine : Of the run; isam2 and fixed-lag are those of track.
+    bibtex : Print the BibTeX entry of this version too.
+    """
+    from graphtrack.constants.personal import is_learned, known_constants
+    from graphtrack.inference.engines import engine_of, online_engine
+    from graphtrack.model import Model
+    from graphtrack.report.methods import methods_text, software_bibtex
+
+    chosen = Model.named(model)
+    is_online = engine in ("isam2", "fixed-lag")
+    solver = online_engine(chosen, engine) if is_online else engine_of(chosen, engine)  # type: ignore[arg-type]
+    known = known_constants(constants)
+    words = (
+        "learned" if is_learned(known, chosen) else "the defaults" if constants != "default" else "default"
+    )
+    summary = reading.tracks(inputs).summary if inputs else None
+    text, works = methods_text(chosen, solver, constants=words, summary=summary)
+    typer.echo(text)
+    for work in works:
+        typer.echo(f"  {work.cited}: {work.work}.")
+    if bibtex:
+        typer.echo(software_bibtex())

@@ -146,6 +146,7 @@ def smooth(
     resample: Annotated[float | None, typer.Option(metavar="HZ")] = None,
     walkable: options.Walkable = None,
     learn_sensors: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
+    intervals: options.Intervals = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
     stream: bool | None = None,
@@ -190,7 +191,7 @@ def smooth(
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--fill": fill, "--resample": resample, "--walkable": walkable}
-        unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors}
+        unused |= {"--split-gap": split_gap, "--learn-sensors": learn_sensors, "--intervals": intervals}
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", "sensors", *options.CAMERA)
         given = reading.given().items()
@@ -236,11 +237,12 @@ def smooth(
     with progress_bar(tracks.n_frames) as advance:
         found = work.solve(jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
+    names = tracks.names
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write_tracks(work.estimates(found), output)
+        write_tracks(work.estimates(found), output, intervals=intervals)
     unconverged = [result for result in good if not result.converged]
     emit(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "
@@ -251,15 +253,23 @@ def smooth(
         emit(f"  noise, learned: {noise}")
     for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
-            emit(f"  track {result.track.track_id}: {result.constants.described()}")
+            emit(f"  {tracks.person(result.track.track_id)}: {result.constants.described()}")
     for result in unconverged:
-        emit(f"  track {result.track.track_id}: not converged in {result.iterations} steps")
+        emit(f"  {tracks.person(result.track.track_id)}: not converged in {result.iterations} steps")
     if report is not None and good:
+        from graphtrack.evaluation.observed import observed_calibration
         from graphtrack.report.html import write_html
-        from graphtrack.report.page import constants_section, tracking_report
+        from graphtrack.report.methods import methods_section, methods_text
+        from graphtrack.report.page import constants_section, observed_section, tracking_report
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
-        sections = constants_section(learned)
+        words = methods_text(chosen, solver, constants=learned, summary=tracks.summary, failed=len(bad))
+        checked = observed_calibration(work.observed, good, chosen)
+        sections = (
+            *observed_section(checked),
+            *constants_section(learned, names),
+            *methods_section(*words),
+        )
         page = tracking_report(
             estimates,
             tracks,
@@ -272,7 +282,7 @@ def smooth(
     if good:
         emit(f"wrote {output}")
     for failure in bad:
-        emit(f"error: track {failure.track_id}: {failure.reason}")
+        emit(f"error: {tracks.person(failure.track_id)}: {failure.reason}")
     if bad:
         raise typer.Exit(BAD_INPUT)
 

@@ -11,7 +11,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, input_warnings_as_notes, progress_bar, write_tracks
-from graphtrack.errors import NO_POSITION, InputError, SolveError
+from graphtrack.errors import NO_POSITION, InputError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from graphtrack.inference.engines import OnlineEngine
     from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Model
-    from graphtrack.streaming.answers import Asked
+    from graphtrack.streaming.behaviour import Asked
     from graphtrack.streaming.session import Answers
     from graphtrack.tracks.table import Rows
 
@@ -164,7 +164,7 @@ def track(
             f"wrote {output}"
         )
     for track_id in unseen:
-        emit(f"error: {SolveError(track_id, NO_POSITION)}")
+        emit(f"error: {tracks.person(track_id)}: {NO_POSITION}")
     if unseen:
         raise typer.Exit(BAD_INPUT)
 
@@ -231,7 +231,7 @@ def horizon_of(forecast: float | None) -> tuple[float, float] | None:
     if forecast is None:
         return None
     from graphtrack.forecasting.forecaster import times_ahead
-    from graphtrack.streaming.answers import STEP
+    from graphtrack.streaming.behaviour import STEP
 
     step = min(STEP, forecast)
     times_ahead(forecast, step)
@@ -245,7 +245,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     if not (groups or attention):
         return None
     from graphtrack.interaction.people import read_places
-    from graphtrack.streaming.answers import Asked
+    from graphtrack.streaming.behaviour import Asked
 
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
@@ -330,7 +330,7 @@ def serve(
     ----------
     host : Address to listen on.
     port : Port to listen on; 0: any that is free.
-    engine : As in graphtrack track.
+    engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; auto: chain where it can be.
     lag : Length of the history that is re-estimated.
     fps : Frames a second, for rows without a time.
     homography : File with 3×3 numbers: image → ground in metres.
@@ -341,7 +341,7 @@ def serve(
     angles : Convention of the angles of rows and answers, such as 'clockwise from image up' or compass; by
         default degrees counter-clockwise from x.
     state : Folder for saved streams, which can be resumed; created if missing.
-    save_every : As in graphtrack track.
+    save_every : Seconds between flushes of --state to disk, the most that a power failure loses.
 
     Clients
     -------
@@ -355,7 +355,8 @@ def serve(
     max_people : Most people with identities in a stream at one time.
     max_rate : Most rows a second of a stream; faster clients are throttled.
     max_line : Most bytes of a message.
-    forget_after : As in graphtrack track.
+    forget_after : Seconds of a stream without a row until a person, or one of several streams of detections,
+        is forgotten.
     patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
         stream's process (at least 10), which is killed then.
     """

@@ -17,7 +17,7 @@ from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
 
-_LEAST = 1e-3
+LEAST = 1e-3
 """Share of an observation's variance, or concentration, that the other observations leave at least."""
 
 
@@ -75,7 +75,7 @@ def _of_positions(observed: Observed, estimate: FloatArray, covariance: FloatArr
     noise, error = observed.noise, observed.position - estimate
     inlier, outlier = np.zeros(len(noise)), np.zeros(len(noise))
     for axis in range(2):
-        left = np.maximum(noise - covariance[:, axis, axis], _LEAST * noise)
+        left = np.maximum(noise - covariance[:, axis, axis], LEAST * noise)
         spread = noise * noise / left
         square = (error[:, axis] * noise / left) ** 2
         inlier -= 0.5 * (square / spread + np.log(2.0 * math.pi * spread))
@@ -93,7 +93,7 @@ def _of_angles(
 ) -> FloatArray:
     known, found = kappa > 0.0, np.zeros(len(angle))
     angle, kappa = angle[known], kappa[known]
-    sure = np.maximum(1.0 / variance[known], (1.0 + _LEAST) * kappa)
+    sure = np.maximum(1.0 / variance[known], (1.0 + LEAST) * kappa)
     rest = sure[:, None] * unit(smoothed[known]) - kappa[:, None] * unit(angle)
     density = log_blurred(angle - direction(rest), kappa, np.linalg.norm(rest, axis=1))
     found[known] = with_outliers(density, outliers)

@@ -19,7 +19,7 @@ IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial, reduce
 from itertools import pairwise
 from operator import add
@@ -700,13 +700,42 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
     counts, notes = {}, []
     for name, estimates, truth in pairs:
         counts[name] = count(share_frames(truth, estimates, similarity, name), threshold)
-        notes += [f"{name}: {note}" if name else note for note in missing_in_words(truth, estimates)]
+        of_pair = missing_in_words(truth, estimates)
+        of_pair += _numbered_apart(estimates, truth, similarity, threshold, counts[name])
+        notes += [f"{name}: {note}" if name else note for note in of_pair]
     return TrackingScore(
         sequences=tuple(figures(name, of_sequence, threshold) for name, of_sequence in counts.items()),
         together=figures(TOGETHER, reduce(add, counts.values()), threshold),
         threshold=threshold,
         notes=tuple(notes),
     )
+
+
+_BETTER = 0.01  # least gain of IDF1 for which a note advises to number frames otherwise
+
+
+def _numbered_apart(
+    estimates: IdentifiedRows,
+    truth: IdentifiedRows,
+    similarity: Similarity,
+    threshold: Threshold,
+    counts: Counts,
+) -> tuple[str, ...]:
+    """Return a note if the estimates match better one frame later or earlier: one side counts from 0."""
+    if not len(truth.frame) or not len(estimates.frame):
+        return ()
+    ends = {int(end(truth.frame) - end(estimates.frame)) for end in (np.min, np.max)}
+    now = figures("", counts, threshold).idf1
+    for shift in sorted(ends & {-1, 1}):
+        moved = share_frames(truth, replace(estimates, frame=estimates.frame + shift), similarity, "")
+        if (other := figures("", count(moved, threshold), threshold).idf1) > now + _BETTER:
+            first = f"{int(estimates.frame.min())} and those of the truth at {int(truth.frame.min())}"
+            how = "added to" if shift > 0 else "taken from"
+            return (
+                f"frames of the estimates begin at {first}: with 1 {how} those of the estimates IDF1 is "
+                f"{other:.3f}, and now {now:.3f}; if they are the same images, number both alike",
+            )
+    return ()
 
 
 def similarity_of(threshold: Threshold) -> Similarity:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
+from graphtrack.geometry.planar import without_unknown_correlations
 from graphtrack.tracks.track import STATE, Track
 
 Angle = Literal["body", "head"]
@@ -69,13 +70,6 @@ def velocity_nees(estimate: Track, truth: Track, velocity: FloatArray | None = N
         return np.full(len(truth), np.nan)
     known = true_velocity(truth) if velocity is None else velocity
     return _plane_nees(estimate.velocity - known, estimate.covariance[:, 2:4, 2:4])
-
-
-def without_unknown_correlations(covariance: FloatArray) -> FloatArray:
-    """Return covariances (..., 2, 2), those of tables as uncorrelated: these have the deviations alone."""
-    known = np.isfinite(covariance[..., 0, 0]) & np.isfinite(covariance[..., 1, 1])
-    unknown = known & np.isnan(covariance[..., 0, 1])
-    return np.where(unknown[..., None, None] & np.isnan(covariance), 0.0, covariance)
 
 
 def _plane_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:

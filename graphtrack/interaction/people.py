@@ -378,11 +378,16 @@ def people_at(t: float, frame: int, numbers: Mapping[int, Numbers]) -> People:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Disc about a point, or polygon."""
+    """Disc about a point, or polygon; of crowd measures also a line."""
 
     name: str  # display name, unique
-    outline: FloatArray  # (k, 2) metres, the corners; one point for a disc
+    outline: FloatArray  # (k, 2) metres, the corners; one point for a disc, two for a line
     radius: float = 0.0  # metres; 0 for a polygon
+
+    @property
+    def is_line(self) -> bool:
+        """True for a line."""
+        return len(self.outline) == 2
 
     @property
     def centre(self) -> FloatArray:
@@ -414,8 +419,10 @@ def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
     return np.count_nonzero(spans & (x[:, None] < at), axis=1) % 2 == 1
 
 
-def read_places(path: str | Path) -> list[Place]:
+def read_places(path: str | Path, *, lines: bool = False) -> list[Place]:
     """Read places: CSV with ``name`` and either ``x, y, radius`` or ``polygon`` (``x y x y x y …``), metres.
+
+    ``lines``: a polygon may have two points, which are a line.
 
     Raise InputError with line and column: a place without radius and polygon, or with both, a duplicate name,
     an invalid number.
@@ -439,8 +446,9 @@ def read_places(path: str | Path) -> list[Place]:
             raise InputError(found, "a radius or a polygon", path=source.path, line=line)
         if cells["polygon"]:
             numbers = [_metres(source, line, "polygon", cell) for cell in cells["polygon"].split()]
-            if len(numbers) < 6 or len(numbers) % 2:
-                found, expected = f"{len(numbers)} numbers", "x y of three corners or more"
+            if len(numbers) < (4 if lines else 6) or len(numbers) % 2:
+                corners = "two points (a line)" if lines else "three corners"
+                found, expected = f"{len(numbers)} numbers", f"x y of {corners} or more"
                 raise InputError(found, expected, path=source.path, line=line, column="polygon")
             places.append(Place(name, np.array(numbers).reshape(-1, 2)))
             continue

@@ -50,8 +50,7 @@ def known_camera(options: ReadOptions, visible: FloatArray) -> tuple[GroundCamer
         camera = GroundCamera.from_homography(homography, visible=visible)
         return camera, _handedness(camera)
     if options.point_pairs is not None:
-        camera, notes = _from_point_pairs(options)
-        return camera, (*notes, *_handedness(camera))
+        return camera_of_point_pairs(options.point_pairs)
     if options.calibration is not None:
         return read_calibration(options.calibration), ()
     return None, ()
@@ -267,12 +266,21 @@ def _read_settings(path: str | Path) -> Mapping[str, float]:
     return settings
 
 
-def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ...]]:
-    path = Path(str(options.point_pairs))
-    source = Source.open(path)
-    numbers = read_numbers(
-        source, delimiter=None, widths=(4,), names=("u", "v", "X", "Y"), comments=True
-    ).values
+def read_point_pairs(path: str | Path) -> FloatArray:
+    """Read pixels and their points on the ground (n, 4): u, v, and X, Y in metres."""
+    names = ("u", "v", "X", "Y")
+    return read_numbers(Source.open(path), delimiter=None, widths=(4,), names=names, comments=True).values
+
+
+def camera_of_point_pairs(path: str | Path) -> tuple[GroundCamera, tuple[str, ...]]:
+    """Return the camera of a file of point pairs, by a homography (DLT), and notes on it.
+
+    Raises
+    ------
+    InputError
+        For fewer than four pairs, or pairs that determine no homography.
+    """
+    numbers = read_point_pairs(path)
     try:
         camera, fit = GroundCamera.from_point_pairs(numbers[:, :2], numbers[:, 2:])
     except InputError as error:
@@ -281,6 +289,7 @@ def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ..
     return camera, (
         f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "
         f"{fit.max_error:.3g} m at most{exact}",
+        *_handedness(camera),
     )
 
 

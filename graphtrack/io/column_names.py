@@ -16,7 +16,7 @@ from graphtrack.io.options import SHORT, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.tracks.cells import WILD
 from graphtrack.tracks.display import shortened
-from graphtrack.tracks.schema import is_column
+from graphtrack.tracks.schema import BOXES, CLASS, is_column
 
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
     key: tuple(names.split())
@@ -34,6 +34,34 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 
 Each has this meaning in published tables of people; it is read so where the native column is absent.
 """
+
+_BOX_PREFIXES = ("", "bb", "bbox", "box", "bndbox", "boundingbox")
+_OF_BOXES: Mapping[str, frozenset[str]] = {
+    key: frozenset(prefix + name for prefix in _BOX_PREFIXES for name in names.split())
+    for key, names in {
+        "left": "left xmin minx x1 xtl xleft lefttopx topleftx",
+        "top": "top ymin miny y1 ytl ytop lefttopy toplefty",
+        "right": "right xmax maxx x2 xbr xright rightbottomx bottomrightx",
+        "bottom": "bottom ymax maxy y2 ybr ybottom rightbottomy bottomrighty",
+        "width": "width w",
+        "height": "height h",
+        "center_x": "centerx xcenter centrex xcentre cx xc",
+        "center_y": "centery ycenter centrey ycentre cy yc",
+    }.items()
+} | {
+    "confidence": frozenset(
+        ["confidence", "conf", "detscore", "detectionscore", "boxconfidence", "bbconf", "probability"]
+    ),
+    CLASS: frozenset(
+        ["class", "classname", "cls", "classid", "category", "categoryname", "categoryid", "objecttype"]
+    ),
+}
+"""Columns of boxes → their names in tables of detectors and trackers, as those of `SYNONYMS`."""
+
+_CORNER = {"left": "bboxx", "top": "bboxy"}  # of bbox_x, bbox_y, bbox_w, bbox_h
+
+PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
+"""Units in names of columns that are pixels."""
 
 _POSSIBLE = {
     "track_id": "track obj individual individualid target trajectory trajid traj uid uuid userid user player "
@@ -63,6 +91,9 @@ _WORDS = re.compile(r"[^\W_]+")
 READ_AS = "read column"
 """Beginning of the note that names the columns that were read by their well-known names."""
 
+UNREAD_IDENTITY = "may be an identity and was not read"
+"""Part of the note on a column whose name is proposed, and not read automatically."""
+
 UNSURE_UNIT = (
     "times were read as seconds, though they lie 5 and more apart: --time-unit ms if they are milliseconds"
 )
@@ -81,7 +112,7 @@ def plain(name: str) -> tuple[str, str]:
     unit = unit.lower()
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", outside)  # agentId: agent Id
     words = [word.lower() for word in _WORDS.findall(spaced)]
-    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES):
+    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES or words[-1] in PIXELS):
         unit = words.pop()
     return "".join(words), unit
 
@@ -154,6 +185,74 @@ def _patterns(name: str, start: int, end: int) -> list[str]:
     return patterns
 
 
+_IN_IMAGE = ("px", "pixel", "pix", "image", "img", "pixels")
+
+
+def pixel_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return u and v → name of the columns of positions that their names call pixels; none without both.
+
+    px and py are pixels, unless a column pz shows them to be a position in space.
+    """
+    known = {name: plain(name) for name in names}
+    words = {word for word, _ in known.values()}
+    found: dict[str, str] = {}
+    for key, axis in (("u", "x"), ("v", "y")):
+        of_axis = {*SYNONYMS[axis], *_POSSIBLE[axis].split(), axis} - {f"p{axis}"}
+        fitting = {
+            key,
+            *(f"{mark}{axis}" for mark in _IN_IMAGE[1:]),
+            *(f"{axis}{mark}" for mark in _IN_IMAGE),
+        }
+        fitting |= set() if "pz" in words else {f"p{axis}"}
+        for name, (word, unit) in known.items():
+            if word in fitting or (word in of_axis and unit in PIXELS):
+                found.setdefault(key, name)
+    return found if len(found) == 2 else {}
+
+
+_ANGLES = dict.fromkeys(("deg", "degree", "degrees", "°"), "deg")
+_ANGLES |= dict.fromkeys(("rad", "radian", "radians"), "rad")
+_OF_ANGLES: Mapping[str, tuple[str, ...]] = {
+    "head": ("head", "gaze", "face", "look"),
+    "body": ("body", "torso", "shoulder", "", "person"),
+}
+_TURNED = ("angle", "yaw", "orientation", "heading", "direction", "theta", "rotation", "dir", "ori")
+
+
+def angle_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return head and body → name of the columns of their orientations."""
+    found: dict[str, str] = {}
+    for name in names:
+        word = plain(name)[0]
+        unit = next((one for one in _ANGLES if word.endswith(one) and one != word), "")
+        word = word.removesuffix(unit)
+        for part, prefixes in _OF_ANGLES.items():
+            if word in {f"{prefix}{turned}" for prefix in prefixes for turned in _TURNED} | {*prefixes[:2]}:
+                found.setdefault(part, name)
+    return found
+
+
+def angle_unit(name: str) -> str:
+    """Return deg or rad, if the name of a column of angles says so, else an empty text."""
+    word, unit = plain(name)
+    return _ANGLES.get(unit) or next((short for one, short in _ANGLES.items() if word.endswith(one)), "")
+
+
+def box_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return key → name of the columns of boxes, confidence and class; none unless a box is complete."""
+    known = {name: plain(name) for name in names}
+    found: dict[str, str] = {}
+    for key, words in _OF_BOXES.items():
+        fitting = [name for name, (word, unit) in known.items() if word in words and unit in {"", *PIXELS}]
+        fitting += [name for name, (word, _) in known.items() if word == _CORNER.get(key)]
+        if fitting:  # a name of a class before its number
+            found[key] = min(fitting, key=lambda name: (known[name][0].endswith("id"), fitting.index(name)))
+    form = next((form for form in BOXES if set(form) <= found.keys()), None)
+    if form is None:
+        return {}
+    return {key: name for key, name in found.items() if key in (*form, "confidence", CLASS)}
+
+
 _MOST = 10_000  # number of columns above which names are not searched
 
 
@@ -200,6 +299,8 @@ def with_synonyms(
             found[key] = (exact or fitting)[0]
     if ("x" in found) != ("y" in found):
         found.pop("x", None), found.pop("y", None)
+    if not {"x", *_NO_METRES} & (native | found.keys()):
+        found |= {key: name for key, name in box_columns(names).items() if key not in native}
     notes = []
     if found:
         renamed = ", ".join(f"{shortened(name)} as {key}" for key, name in found.items())
@@ -214,7 +315,7 @@ def with_synonyms(
     if "track_id" not in native | found.keys():
         like = meanings(name for name in names if not is_column(name)).get("id")
         if like is not None:
-            notes.append(f"column {shortened(like)} may be an identity and was not read: --columns id={like}")
+            notes.append(f"column {shortened(like)} {UNREAD_IDENTITY}: --columns id={like}")
     return options, tuple(notes)
 
 
@@ -226,13 +327,19 @@ def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
     return (UNSURE_UNIT,) if unsure else ()
 
 
-def names_tracks(source: Source, options: ReadOptions) -> bool:
-    """Return whether a text of no known format has a header that names positions, and times or frames."""
+def names_of(source: Source) -> list[str]:
+    """Return the cells of the first line of a text, none if it is no row of CSV."""
     first = next((line for line in source.lines if line.strip()), "")
     try:
-        names = [name.strip() for name in next(csv.reader([first]), [])]
+        return [name.strip() for name in next(csv.reader([first]), [])]
     except csv.Error:
-        return False
+        return []
+
+
+def names_tracks(source: Source, options: ReadOptions) -> bool:
+    """Return whether a text of no known format has a header that names positions, and times or frames."""
+    names = names_of(source)
     found, _ = with_synonyms(names, options, source.path)
     there = {*names, *(found.columns if isinstance(found.columns, Mapping) else ())}
-    return found is not options and {"x", "y"} <= there and bool({"t", "frame"} & there)
+    placed = {"x", "y"} <= there or any(set(form) <= there for form in BOXES)
+    return found is not options and placed and bool({"t", "frame"} & there)

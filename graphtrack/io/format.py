@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.source import RemoteFile, Source, mostly
-from graphtrack.io.text import mostly_numbers
+from graphtrack.io.source import HEAD_BYTES, RemoteFile, Source, mostly
+from graphtrack.io.text import mostly_numbers, trailing_number
 from graphtrack.tracks.cells import Cells
 from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.table import Rows
@@ -46,6 +46,7 @@ class Format:
     takes : options of tables, fields of `ReadOptions`, that the reader itself handles
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
+    default_fps : frames a second of a table without times, unless an option gives them; a note says so
     """
 
     name: str
@@ -58,6 +59,7 @@ class Format:
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
     cells: Callable[[Source, ReadOptions], Cells] | None = None
+    default_fps: float | None = None
 
     def __post_init__(self) -> None:
         if self.write is None and self.write_columns is not None:
@@ -173,9 +175,58 @@ def _is_coco(head: bytes) -> bool:
     return text.startswith(b"{") and _COCO_DATASET.search(text) is not None
 
 
+def _is_json(head: bytes) -> bool:
+    """Return whether a file is a list of objects, or of lists of them, or an object of lists of them."""
+    text = head.removeprefix(_MARK).lstrip()
+    return re.match(rb'\[\s*(\[\s*)*[{\]]|\{\s*"[^"]*"\s*:\s*\[\s*[{\]]', text) is not None
+
+
+def _is_label(line: str) -> bool:
+    """Return whether a line is a class and a box relative to the image, as of YOLO."""
+    numbers = [parse_number(cell) for cell in line.split()]
+    known = [number for number in numbers[:5] if number is not None]
+    return (
+        len(known) == 5
+        and known[0].is_integer()
+        and known[0] >= 0.0
+        and all(0.0 < n <= 1.0 for n in known[1:])
+    )
+
+
+def _is_of_sdd(line: str) -> bool:
+    """Return whether a line is nine whole numbers and a word in quotation marks."""
+    cells = line.split()
+    return (
+        len(cells) == 10
+        and cells[9].startswith('"')
+        and all(cell.lstrip("-").isdigit() for cell in cells[:9])
+    )
+
+
+def label_files(folder: Path) -> list[Path]:
+    """Return the texts of a folder of YOLO's labels, or of its folder ``labels``, in the order of frames."""
+    for place in (folder / "labels", folder):
+        if place.is_dir():
+            files = [one for one in place.glob("*.txt") if trailing_number(one.stem) is not None]
+            head = next((one.read_bytes()[:HEAD_BYTES] for one in files if one.stat().st_size), b"")
+            if files and mostly(head, _is_label):
+                return sorted(files, key=lambda one: (trailing_number(one.stem), one.name))
+    return []
+
+
 def _header(head: bytes) -> set[str]:
     first = head.removeprefix(_MARK).lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
     return {cell.strip().strip('"') for cell in first.split(",")}
+
+
+_OF_VICON = re.compile(
+    rb"\s*[A-Z][A-Za-z ]{4,20},*\r?\n\d+(\.\d+)?[,\t]*\r?\n[^\n]*\r?\nFrame[,\t]Sub Frame[,\t]"
+)
+
+
+def _is_vicon(head: bytes) -> bool:
+    """Return whether a file begins with a section, its rate, a row of names and Frame, Sub Frame."""
+    return _OF_VICON.match(head.removeprefix(_MARK)) is not None
 
 
 def _is_caviar(head: bytes) -> bool:
@@ -214,15 +265,21 @@ SIGNATURES: Mapping[str, Callable[[bytes], bool]] = MappingProxyType(
     {
         "parquet": lambda head: head.startswith(PARQUET),
         "coco": _is_coco,
+        "json": _is_json,
         "trajnet": lambda head: mostly(head, lambda line: line.startswith(('{"scene"', '{"track"'))),
         "ndjson": lambda head: mostly(head, lambda line: line.startswith("{")),
         "movement": lambda head: head.removeprefix(_MARK).startswith((HDF5, *CLASSIC, DEEPLABCUT)),
         "jupedsim": lambda head: head.startswith(SQLITE),
+        "motive": lambda head: head.removeprefix(_MARK).startswith(b"Format Version,"),
+        "vicon": _is_vicon,
+        "qualisys": lambda head: head.removeprefix(_MARK).startswith(b"NO_OF_FRAMES"),
         "mocap": lambda head: _header(head) >= {*MOCAP_COLUMNS},
         "csv": lambda head: len(_header(head) & {*NAMES}) >= 2,
         "caviar": _is_caviar,
         "ucy": lambda head: b"number of splines" in head.split(b"\n", 1)[0].lower(),
         "kitti": lambda head: mostly(head, _is_kitti),
+        "yolo": lambda head: mostly(head, _is_label),
+        "sdd": lambda head: mostly(head, _is_of_sdd),
         "salsa": lambda head: mostly(head, _is_salsa),
         "towncentre": lambda head: mostly_numbers(head, ",", (6,)),
         "pedpy": _is_pedpy,
@@ -237,4 +294,6 @@ def recognised(head: bytes, path: Path) -> str | None:
     """Return the name of the format of a file's first bytes or a recording's path; else None."""
     if is_recording(path):
         return "bag"
+    if path.is_dir():
+        return "yolo" if label_files(path) else None
     return next((name for name, matches in SIGNATURES.items() if matches(head)), None)

@@ -1,4 +1,7 @@
-"""Boxes of supervision and Ultralytics, which are not imported, and points of GeoPandas (extra ``geo``)."""
+"""Boxes of supervision, Ultralytics and tables, and points of GeoPandas (extra ``geo``).
+
+supervision and Ultralytics are not imported.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,11 @@ from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.poses import placed_by_poses
 from graphtrack.packages import package
+from graphtrack.tracks.cells import Cells, Layout, labels
+from graphtrack.tracks.schema import CLASS
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import TrackSet
-from graphtrack.tracks.validation import LARGEST_ID
+from graphtrack.tracks.validation import LARGEST_ID, parse_number
 
 if TYPE_CHECKING:
     import geopandas
@@ -85,6 +90,66 @@ def boxes_of_ultralytics(results: Any, person: int | None = None) -> FoundBoxes:
         names = getattr(results, "names", None) or {}
         person = next((int(key) for key, name in dict(names).items() if str(name).lower() == "person"), 0)
     return _found(person, corners, *(array_of(boxes, name) for name in ("conf", "cls", "id")))
+
+
+NO_BOX = "without a box"
+ASSUMED_SIZE = (1920, 1080)
+"""Width and height of images whose size is not known, where there is no camera either."""
+
+_PEOPLE = ("person", "people", "pedestrian")
+_RELATIVE = 1.5  # largest coordinate of boxes relative to the image; they may reach beyond its edge
+
+
+def of_classes(cells: Cells, layout: Layout | None, options: ReadOptions) -> Cells:
+    """Return the rows of people in a table with a column of classes; others are refused by class.
+
+    Names are compared with person, people, pedestrian and ``classes`` of the options; of numbers 0 is a
+    person unless ``classes`` names some, and a single one is that of people.
+    """
+    placed = {"x", "u", "lat"} & {*cells.columns, *(() if layout is None else layout.columns)}
+    name = CLASS if CLASS in cells.columns and not placed else None
+    if layout is not None and (layout.columns or layout.exclusive):
+        name = layout.columns.get(CLASS, None if layout.exclusive else name)
+    if name is None or name not in cells.columns:
+        return cells
+    found = labels(cells, name)
+    kinds = np.unique(found)
+    by_default = options.classes == ReadOptions().classes
+    wanted = {one.lower() for one in options.classes} | ({*_PEOPLE} if by_default else set())
+    numbered = all(parse_number(one) is not None for one in kinds if one)
+    if numbered and by_default:
+        if len(kinds) == 1:
+            return cells
+        wanted = {"0"}
+    for kind in kinds:
+        plain = f"{parse_number(kind):g}" if numbered and kind else str(kind).lower()
+        if plain not in wanted:
+            cells = cells.keep(found != kind, f"of class {kind or 'that is empty'}")
+            found = found[found != kind]
+    return cells
+
+
+def checked_boxes(rows: Rows, options: ReadOptions) -> Rows:
+    """Return the rows of a table with usable boxes in pixels; others are refused, as those without identity.
+
+    Boxes relative to the image are multiplied by its size.
+    """
+    if "box" not in rows.channels:
+        return rows
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["box"]).all(axis=1)), NO_BOX)
+    rows = rows.keep(np.asarray((rows.channels["box"][:, 2:] > 0.0).all(axis=1)), NO_SIZE)
+    if rows.has_identity and options.associate in ("auto", "never"):
+        rows = rows.keep(rows.track_id != -1, NOT_FOLLOWED)
+    box = rows.channels["box"]
+    if not len(box) or np.abs(box).max() > _RELATIVE:
+        return rows
+    if options.image_size is None and options.has_camera:
+        found = "boxes relative to images of unknown size, and a camera"
+        raise InputError(found, "their size: --image-size 1920x1080", path=rows.path)
+    size = np.array(ASSUMED_SIZE if options.image_size is None else options.image_size, float)
+    if options.image_size is None:
+        rows = rows.with_notes("boxes are relative to the image: one of 16:9 is assumed (--image-size WxH)")
+    return rows.with_channels(box=box * np.tile(size, 2))
 
 
 def array_of(holder: Any, name: str, expected: str | None = None) -> Any:
@@ -175,10 +240,9 @@ def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) ->
         nobody = f"no people in {len(found)} frames" + (f" ({reasons} refused)" if reasons else "")
         raise InputError(nobody, "at least one person")
     of_nobody = [frame for frame, one in some.items() if one.track_id is None]
-    if 0 < len(of_nobody) < len(some):
-        raise InputError(
-            f"no ids in frame {of_nobody[0]}, which others have", "ids in all frames, or in none"
-        )
+    if 0 < len(of_nobody) < len(some):  # a tracker that followed nobody yet, or lost everybody
+        refused[NOT_FOLLOWED] += sum(len(some.pop(frame).box) for frame in of_nobody)
+        of_nobody = []
     counts = [len(one.box) for one in some.values()]
     frame = np.repeat(np.array(list(some), dtype=np.int64), counts)
     ids = [np.full(len(one.box), -1) if one.track_id is None else one.track_id for one in some.values()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +18,9 @@ from graphtrack.io.limits import MemoryLimit
 from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
 from graphtrack.tracks.cells import WILD, Layout
-from graphtrack.tracks.schema import is_column
+from graphtrack.tracks.schema import BOX_KEYS, CLASS, is_column
 from graphtrack.tracks.table import ANGLES, DEGREES, AsRead
-from graphtrack.tracks.validation import check_frame_rate, check_positive
+from graphtrack.tracks.validation import check_frame_rate, check_positive, is_number
 
 SHORT = {"id": "track_id", "time": "t"}
 """Short names of columns, in addition to those of the native table."""
@@ -43,8 +44,8 @@ def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:
         if not name or not key:
             raise InputError(f"columns {key}={name}, without a name", EXPECTED)
         native = SHORT.get(key, key)
-        if not (is_column(native) or native in DEGREES or native in ANGLES):
-            known = ", ".join((*SHORT, "frame", "t", "x", "y", *DEGREES, "label", *ANGLES))
+        if not (is_column(native) or native in (*DEGREES, *ANGLES, *BOX_KEYS, "confidence", CLASS)):
+            known = ", ".join((*SHORT, "frame", "t", "x", "y", *DEGREES, "label", *ANGLES, *BOX_KEYS, CLASS))
             raise InputError(f"columns {key}={name}", f"one of {known}, or a column of the native table")
         if native in found:
             raise InputError(f"columns with {key} twice", "each once")
@@ -83,6 +84,19 @@ def _check_places(columns: Mapping[str, str]) -> None:
         raise InputError(f"columns with {wild[0]} and id", f"one of them: {WILD} stands for the identity")
     if any(name.count(WILD) > 1 for name in wild):
         raise InputError(f"columns with {wild[0]}", f"one {WILD}, for the identity")
+
+
+def _image_size(given: tuple[int, int] | str | None) -> tuple[int, int] | None:
+    """Return width and height in pixels."""
+    numbers = re.fullmatch(r"(\d{1,6})\s*[x×,]\s*(\d{1,6})", given) if isinstance(given, str) else None
+    size = tuple(map(int, numbers.groups())) if numbers else given
+    if size is None:
+        return None
+    if not (
+        isinstance(size, tuple | list) and len(size) == 2 and all(is_number(one) and one > 0 for one in size)
+    ):
+        raise InputError(f"image_size = {given!r}", "width and height in pixels, such as 1920x1080")
+    return int(size[0]), int(size[1])
 
 
 Associate = Literal["auto", "never", "always", "repair"]
@@ -124,6 +138,7 @@ class ReadingBase(TypedDict, total=False):
     pose_axes: PoseAxes | None
     reference: AsRead | None
     max_memory: float | None
+    image_size: tuple[int, int] | str | None
 
 
 class Placing(ReadingBase, total=False):
@@ -185,6 +200,8 @@ class ReadOptions:
     reference : layout of another table with the same origins of time and local metres
     max_memory : GiB that the content of the file may take; None: 4, and no more than 200 times the size of
         the file, or 64 MiB where that is more
+    image_size : width and height of the images in pixels, or text such as "1920x1080", for boxes relative to
+        them (YOLO's labels)
     """
 
     fps: float | None = None
@@ -216,6 +233,7 @@ class ReadOptions:
     pose_axes: PoseAxes | None = None
     reference: AsRead | None = None
     max_memory: float | None = None
+    image_size: tuple[int, int] | str | None = None
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
@@ -246,6 +264,7 @@ class ReadOptions:
             found = f"delimiter and decimal {self.delimiter!r}"
             raise InputError(found, "two different marks, such as --delimiter ';' --decimal ,")
         check_encoding(self.encoding)
+        object.__setattr__(self, "image_size", _image_size(self.image_size))
         object.__setattr__(self, "sensors", self.sensor_scene)
         self.layout()
 
@@ -263,6 +282,12 @@ class ReadOptions:
     def limit(self, path: Path, stored: int | None = None) -> MemoryLimit:
         """Return the limit of the memory that the content of a file of so many bytes may take."""
         return MemoryLimit(path, stored, self.max_memory, "--max-memory")
+
+    @property
+    def has_camera(self) -> bool:
+        """Return whether a camera or a scale is given, which maps pixels to the ground."""
+        given = (self.camera, self.homography, self.point_pairs, self.calibration, self.metres_per_pixel)
+        return any(one is not None for one in given)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -294,4 +319,4 @@ class ReadOptions:
         if self.columns is None and not any(declared):
             return None
         assert not isinstance(self.columns, str)
-        return Layout(self.columns or {}, *declared)
+        return Layout(self.columns or {}, *declared, exclusive=self.columns is not None)

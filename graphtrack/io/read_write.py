@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
@@ -16,10 +17,11 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.conventions import BEARINGS, AngleConvention
 from graphtrack.io.atomic import atomic_path, check_read_once, read_errors
-from graphtrack.io.cameras import place_pixels, read_homography
-from graphtrack.io.column_names import names_tracks, unit_notes, with_synonyms
-from graphtrack.io.format import Format, companion_files, is_recording, recognised
+from graphtrack.io.cameras import place_pixels, placed_boxes, read_homography, with_scores
+from graphtrack.io.column_names import names_of, names_tracks, unit_notes, with_synonyms
+from graphtrack.io.format import Format, companion_files, is_recording, label_files, recognised
 from graphtrack.io.formats.native import CSV
+from graphtrack.io.libraries import checked_boxes, of_classes
 from graphtrack.io.options import FileReading, Reading, ReadOptions
 from graphtrack.io.poses import placed_by_poses
 from graphtrack.io.registry import (
@@ -43,7 +45,7 @@ from graphtrack.tracks.table import (
     check_rows,
     merged,
 )
-from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.track import Track, TrackSet, columns_as_read
 from graphtrack.tracks.validation import LARGEST_ID
 
 if TYPE_CHECKING:
@@ -160,13 +162,40 @@ def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
     """Return the rows of a table in memory; see `read_identified`."""
     rows = with_known_sensors(rows_of_table(cells_of_frame(table), options), options.sensor_scene)
     rows = placed_by_poses(rows, options)
-    return rows.with_notes(*absent_note(options.sensor_scene, names_in(rows)))
+    notes = (*_unused_camera(rows, options), *absent_note(options.sensor_scene, names_in(rows)))
+    return rows.with_notes(*notes)
+
+
+NO_PIXELS = "not used: the input has no pixels"
+"""End of the note on a camera that reading does not use."""
+
+
+def _unused_camera(rows: Rows, options: ReadOptions) -> tuple[str, ...]:
+    """Return a note on options of a camera, where the input has no pixels."""
+    names = ("camera", "homography", "point_pairs", "calibration", "metres_per_pixel")
+    given = [name.replace("_", "-") for name in names if getattr(options, name) is not None]
+    if not given or rows.camera is not None:
+        return ()
+    return (f"--{', --'.join(given)} {NO_PIXELS}",)
 
 
 def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -> Rows:
     """Return the rows of a table's cells, in metres and with times; ``strict``: see `rows_of_cells`."""
+    rows = _unplaced_rows(cells, options, strict=strict)
+    if "box" in rows.channels:
+        rows = with_scores(placed_boxes(rows, options)).without("box", "confidence")
+    elif "pixel" in rows.channels:
+        rows = place_pixels(rows, options)
+    return rows.with_headings()
+
+
+def _unplaced_rows(cells: Cells, options: ReadOptions, *, strict: bool) -> Rows:
+    """Return the rows of a table's cells, those with pixels or boxes without positions."""
     found, notes = with_synonyms(list(cells.columns), options, cells.path)
     layout = found.layout()
+    if layout is not None and options.columns is None:
+        layout = replace(layout, exclusive=False)  # the names are well-known ones
+    cells = of_classes(cells, layout, options)
     meaning = layout or Layout()
     convention, note_on_angles = _convention(cells, meaning, found)
     try:
@@ -182,8 +211,7 @@ def rows_of_table(cells: Cells, options: ReadOptions, *, strict: bool = False) -
         raise error.at(hint=hint_for(error, native=native)) from error
     if found is not options:
         notes += unit_notes(found, rows.channels["t"])
-    rows = rows.with_notes(*notes, *note_on_angles)
-    return (place_pixels(rows, found) if "pixel" in rows.channels else rows).with_headings()
+    return checked_boxes(rows.with_notes(*notes, *note_on_angles), options)
 
 
 def _convention(
@@ -269,9 +297,13 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
 def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
     """Return the rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
     source = _opened(path, options)
-    chosen = _chosen(source, format)
-    if options.layout() is not None or options.angle_convention is not None:
-        raise InputError("columns, units or angles with boxes", "boxes as their format has them", path=path)
+    chosen = _chosen(source, format, options)
+    if options.angle_convention is not None:
+        raise InputError("angles with boxes", "boxes as their format has them", path=path)
+    if chosen.cells is not None:  # times are of no account
+        timed = replace(options, fps=options.fps or 1.0)
+        rows = _unplaced_rows(_cells(source, chosen, timed), timed, strict=True)
+        return rows if "box" in rows.channels else None
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
 
 
@@ -280,8 +312,13 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     place = table_in(place_of(path))
     if is_recording(place):
         return Source(place, b"", options.limit(place))
+    if place.is_dir() and label_files(place):
+        return Source(place, b"", options.limit(place))
     if place.is_dir():
-        expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
+        expected = (
+            "a file, a ROS 2 bag, a folder of YOLO's labels (one text a frame, its number at the end of "
+        )
+        expected += "the name), or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
         raise InputError("a directory", expected, path=path)
     of_rows = options.fixed_frame is not None and options.poses is None
     if options.topic is not None or of_rows:
@@ -302,6 +339,7 @@ def _corrected_rows(path: str | Path, format: str | None, options: ReadOptions) 
     """Return the rows of a file in the world, without the known errors of their sensors."""
     rows = with_known_sensors(_rows_of_file(path, format, options), options.sensor_scene)
     rows = placed_by_poses(rows, options)
+    rows = rows.with_notes(*_unused_camera(rows, options))
     file = sequence_file(place_of(path))
     return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
 
@@ -309,11 +347,15 @@ def _corrected_rows(path: str | Path, format: str | None, options: ReadOptions) 
 def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     source = _opened(path, options)
     chosen = _chosen(source, format, options)
-    if not source.data and chosen.name != BAG:
-        raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
+    if not source.data and chosen.name != (kind := recognised(b"", source.path)):
+        raise InputError(f"format {chosen.name!r} of a folder or recording", str(kind), path=path)
     with read_errors(source.path):
         if chosen.cells is not None:
-            return rows_of_table(_cells(source, chosen, options), options, strict=True)
+            assumed = chosen.default_fps if options.fps is None else None
+            timed = options if assumed is None else replace(options, fps=assumed)
+            rows = rows_of_table(_cells(source, chosen, timed), timed, strict=True)
+            note = () if assumed is None else (f"no frame rate is given: {assumed:g} Hz assumed",)
+            return rows.with_notes(*note)
         _check_taken(chosen, options, source.path)
         if chosen.read is None:
             expected = "a table, such as GeoParquet; geopandas.read_file makes one of a GeoPackage"
@@ -326,13 +368,18 @@ def _chosen(source: Source, format: str | None, options: ReadOptions = ReadOptio
     if format is not None:
         return format_named(format)
     known = recognised(source.head, source.path)
-    if not source.data or (options.layout() is None and known is not None):
+    header = known in _OF_NUMBERS and "x" not in names_of(source) and names_tracks(source, options)
+    if not source.data or (options.layout() is None and known is not None and not header):
         return detect(source)
     found = None if known is None else format_named(known)
     if options.layout() is not None:
         is_table = found is not None and (found.cells is not None or found.takes)
         return found if found is not None and is_table else CSV
     return CSV if names_tracks(source, options) else detect(source)
+
+
+_OF_NUMBERS = ("mot", "towncentre", "eth")
+"""Formats without a header: a table with one, of as many columns, has names."""
 
 
 def _check_taken(chosen: Format, options: ReadOptions, path: Path) -> None:
@@ -351,11 +398,11 @@ def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
 
 
 def _cells(source: Source, chosen: Format, options: ReadOptions) -> Cells:
-    layout = options.layout()
-    if layout is not None and layout.by_number and chosen is not CSV:
-        raise source.fail("numbers for columns", "their names")
     assert chosen.cells is not None
-    return chosen.cells(source, options)
+    cells, layout = chosen.cells(source, options), options.layout()
+    if layout is not None and layout.by_number and not (cells.numbered or layout.of_names(cells.columns)):
+        raise source.fail("numbers for columns", "their names")
+    return cells
 
 
 def write(
@@ -365,6 +412,7 @@ def write(
     format: str | None = None,
     homography: FloatArray | str | Path | None = None,
     spreadsheet: bool = False,
+    intervals: float | None = None,
 ) -> None:
     """Write tracks atomically: on any failure nothing is left behind.
 
@@ -376,6 +424,8 @@ def write(
         the camera of the tracks
     spreadsheet : put an apostrophe before text, such as labels, that a spreadsheet would run as a formula
         (it begins with =, +, -, @, a tab or a carriage return); for CSV
+    intervals : probability of the intervals of speed, heading, body and head that are written too, for
+        tables; see `TrackSet.to_table`
 
     Raises
     ------
@@ -399,8 +449,16 @@ def write(
         if chosen is not CSV:
             raise InputError(f"--spreadsheet for the format {chosen.name}", "csv", path=path)
         tracks = _without_formulas(tracks)
+    writer = partial(chosen.write, tracks)
+    if intervals is not None:
+        if chosen.write_columns is None:
+            raise InputError(f"intervals for the format {chosen.name}", "csv, parquet or ndjson", path=path)
+        if all(track.covariance is None for track in tracks):
+            raise InputError("intervals of tracks without uncertainties", "estimates, as smooth writes them")
+        columns = columns_as_read(tracks, intervals)
+        writer = partial(chosen.write_columns, columns)
     with atomic_path(path) as temporary:
-        chosen.write(tracks, temporary)
+        writer(temporary)
 
 
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")

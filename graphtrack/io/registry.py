@@ -5,6 +5,7 @@ A new format is a module with a constant of type `Format`, a line in `HOMES` and
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -14,7 +15,7 @@ from types import MappingProxyType
 from graphtrack.errors import InputError
 from graphtrack.io.format import Format, recognised
 from graphtrack.io.source import Source
-from graphtrack.io.text import other_delimiter
+from graphtrack.io.text import in_utf8, other_delimiter
 from graphtrack.tracks.time import is_iso
 from graphtrack.tracks.validation import parse_number
 
@@ -67,17 +68,23 @@ HOMES: Mapping[str, str] = MappingProxyType(
         "bag": "formats.ros_reading:BAG",
         "geopackage": "libraries:GEOPACKAGE",
         "geoparquet": "libraries:GEOPARQUET",
-        "coco": "formats.mot:COCO",
+        "coco": "formats.boxes:COCO",
+        "json": "formats.boxes:JSON",
+        "yolo": "formats.boxes:YOLO",
+        "sdd": "formats.boxes:SDD",
         "trajnet": "formats.eth_ucy:TRAJNET",
         "ndjson": "formats.ndjson:NDJSON",
         "movement": "formats.movement:MOVEMENT",
         "jupedsim": "formats.pedpy:JUPEDSIM",
-        "mocap": "formats.mocap:MOCAP",
+        "mocap": "formats.motion_capture:MOCAP",
+        "motive": "formats.motion_capture:MOTIVE",
+        "vicon": "formats.motion_capture:VICON",
+        "qualisys": "formats.motion_capture:QUALISYS",
         "caviar": "formats.caviar:CAVIAR",
         "ucy": "formats.eth_ucy:UCY",
         "kitti": "formats.kitti:KITTI",
         "salsa": "formats.salsa:SALSA",
-        "towncentre": "formats.towncentre:TOWNCENTRE",
+        "towncentre": "formats.mot:TOWNCENTRE",
         "pedpy": "formats.pedpy:PEDPY",
         "mot2d": "formats.mot:MOT_2D",
         "mot": "formats.mot:MOT",
@@ -115,15 +122,23 @@ def detect(source: Source) -> Format:
     for candidate in all_formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
-    if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
-        raise source.fail("a JSON list", "one JSON object a line, each a row (.ndjson)")
     is_text = b"\0" not in source.head or source.wide is not None
-    if is_text and (error := other_delimiter(source)) is not None:
+    if is_text and (error := other_delimiter(source)) is not None and _is_readable(source):
         raise error
     known = ", ".join(f.name for f in all_formats() if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
     raise source.fail("content of no known format", f"one of {known}{hint}")
+
+
+def _is_readable(source: Source) -> bool:
+    """Return whether a text with commas and decimal points in place of its own marks has a known format."""
+    delimiters = [mark for mark in ";\t| " if mark.encode() in source.head]
+    for mark in delimiters:
+        with contextlib.suppress(InputError):
+            if recognised(in_utf8(source, mark, ",", None).head, source.path) is not None:
+                return True
+    return False
 
 
 def format_for_writing(path: Path) -> Format:

@@ -138,15 +138,15 @@ class Model:
         self.has_groups = any(isinstance(term, FacesGroup) for term in self.terms)
 
     def __repr__(self) -> str:
-        parts = [repr(self.preset), *map(name_of, self.own_terms), *self._changed()]
+        parts = [repr(self.preset), *map(name_of, self.own_terms), *self.changed()]
         return f"Model({listed(parts, 5)})"
 
     def _repr_html_(self) -> str:
         terms = [(term.label, (term.documented.__doc__ or "").partition("\n")[0]) for term in self.terms]
         return html_table(repr(self), ("term", ""), terms)
 
-    def _changed(self) -> list[str]:
-        """The parameters that differ from the preset's."""
+    def changed(self) -> list[str]:
+        """Return the parameters that differ from the preset's, as text."""
         own = asdict(default_parameters(self.preset))
         changed = [
             f"{table}.{name}={value!r}"

@@ -132,11 +132,13 @@ class Picture:
     title : str
     content : matplotlib.figure.Figure or bytes
     description : alternative text
+    is_photo : whether it has a photo in it, whose colours stay in dark mode; JPEG files always do
     """
 
     title: str
     content: Figure | bytes
     description: str = ""
+    is_photo: bool = False
 
 
 @dataclass(frozen=True)

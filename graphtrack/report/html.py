@@ -184,5 +184,6 @@ def _layers(data: Mapping[str, Any]) -> set[str]:
     }
     views = any(one["outline"] for one in data["sensors"])
     has = {"lives": data["lives"], "events": bool(data["events"]), "views": views}
+    has |= {"background": data["background"] is not None}
     has |= (data["behaviour"] or {"has": {}})["has"]
     return known | {"trail", "paths", "label"} | {layer for layer, there in has.items() if there}

@@ -16,6 +16,7 @@ from graphtrack.report.interaction import Behaviour, by_main_group, group_spans,
 from graphtrack.report.lives import Pair
 from graphtrack.report.plots.interaction import (
     MOST,
+    named_targets,
     plot_group_timeline,
     plot_heat_map,
     plot_look_timeline,
@@ -38,11 +39,11 @@ def behaviour_sections(behaviour: Behaviour, tracks: TrackSet, pairs: Sequence[P
     tracks : tracks of the page
     pairs : the tracks with their truth, against which forecasts are scored if it is known
     """
-    found = []
+    found, names = [], {pair.estimate.track_id: pair.name for pair in pairs}
     if behaviour.groups is not None:
-        found.append(_groups_section(behaviour.groups))
+        found.append(_groups_section(behaviour.groups, names))
     if behaviour.attention is not None:
-        found.append(_gaze_section(behaviour, behaviour.attention, tracks))
+        found.append(_gaze_section(behaviour, behaviour.attention, tracks, names))
     if behaviour.forecasts is not None:
         found.append(_forecast_section(behaviour.forecasts, pairs))
     return found
@@ -63,17 +64,17 @@ def behaviour_cards(behaviour: Behaviour) -> tuple[Card, ...]:
     return tuple(cards)
 
 
-def _groups_section(groups: Groups) -> Section:
+def _groups_section(groups: Groups, names: Mapping[int, str]) -> Section:
     spans = group_spans(groups)
     if not spans:
         return Section("Groups", (Note("No groups were found."),))
     words = (
-        "Groups over time: the height of a band is the number of members, with minimum and maximum "
-        "at its end; hatched: walking together"
+        "Groups over time, with their members over all of it; the height of a band is the number of members, "
+        "with minimum and maximum at its end; hatched: walking together"
     )
     if len(spans) > MOST_GROUPS:
         words += f". The {MOST_GROUPS} of {len(spans)} with most person-seconds"
-    picture = Picture(words, plot_group_timeline(groups, spans), f"Time spans of {len(spans)} groups.")
+    picture = Picture(words, plot_group_timeline(groups, spans, names), f"Time spans of {len(spans)} groups.")
     rows = [
         {
             "group": span.number,
@@ -81,7 +82,7 @@ def _groups_section(groups: Groups) -> Section:
             "from (s)": span.start,
             "to (s)": span.end,
             "members at a time": round(span.mean, 1),
-            "who": _listed([str(one) for one in span.members]),
+            "who": _listed([names[one] for one in span.members]),
             "probability": round(span.probability, 2),
         }
         for span in spans
@@ -93,7 +94,9 @@ def _groups_section(groups: Groups) -> Section:
     return Section("Groups", (picture, DataTable.of("All groups", rows, note)))
 
 
-def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet) -> Section:
+def _gaze_section(
+    behaviour: Behaviour, attention: Sequence[Attention], tracks: TrackSet, names: Mapping[int, str]
+) -> Section:
     summary = summary_of(attention)
     if not len(summary.people):
         return Section("Gaze", (Note("There are no gaze estimates."),))
@@ -110,13 +113,13 @@ def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: 
             f"Gaze between people{of}, % of the looking person's time; members of a group are adjacent"
             if behaviour.groups is not None
             else f"Gaze between people{of}, % of the looking person's time",
-            plot_matrix(summary, order),
+            plot_matrix(summary, order, names),
             "Matrix of gaze between people.",
         ),
         Picture(
             f"Most probable gaze target of each person{longest}, in the target's colour; "
             "blank: none of these",
-            plot_look_timeline(attention),
+            plot_look_timeline(attention, names),
             "Timeline of looks.",
         ),
     )
@@ -124,13 +127,14 @@ def _gaze_section(behaviour: Behaviour, attention: Sequence[Attention], tracks: 
     notes = (
         (Note(f"No position of {', '.join(missing)} was given: gaze there is in no map."),) if missing else ()
     )
-    return Section("Gaze", (*pictures, *notes, *_dwell(summary), _persons(summary), *_mutual(summary)))
+    tables = (*_dwell(summary, names), _persons(summary, names), *_mutual(summary, names))
+    return Section("Gaze", (*pictures, *notes, *tables))
 
 
-def _dwell(summary: LookSummary) -> list[DataTable]:
+def _dwell(summary: LookSummary, names: Mapping[int, str]) -> list[DataTable]:
     rows: list[dict[str, Any]] = [
         {
-            "person": person,
+            "person": names[person],
             "place": place,
             "seconds": round(seconds, 1),
             "of the time (%)": round(
@@ -153,15 +157,15 @@ def _dwell(summary: LookSummary) -> list[DataTable]:
     return [DataTable.of("Dwell times of places", rows, note, person_column="person")]
 
 
-def _persons(summary: LookSummary) -> DataTable:
-    rows = []
+def _persons(summary: LookSummary, names: Mapping[int, str]) -> DataTable:
+    rows, targets = [], named_targets(summary, names)
     for k, person in enumerate(summary.people):
         spent = summary.matrix[k]
         best = int(np.argmax(spent[:-1]))
-        target, seconds = summary.targets[best], round(float(spent[best]), 1)
+        target, seconds = targets[best], round(float(spent[best]), 1)
         rows.append(
             {
-                "person": person,
+                "person": names[person],
                 "looks most at": target if spent[best] > 0.0 else None,
                 "for (s)": seconds if spent[best] > 0.0 else None,
                 "at nothing (%)": round(100.0 * float(spent[-1]) / max(float(spent.sum()), 1e-9), 1),
@@ -171,9 +175,9 @@ def _persons(summary: LookSummary) -> DataTable:
     return DataTable.of("Gaze of each person", rows, person_column="person")
 
 
-def _mutual(summary: LookSummary) -> list[DataTable]:
+def _mutual(summary: LookSummary, names: Mapping[int, str]) -> list[DataTable]:
     rows = [
-        {"person": a, "and": b, "seconds": round(seconds, 1)}
+        {"person": names[a], "and": names[b], "seconds": round(seconds, 1)}
         for (a, b), seconds in sorted(summary.mutual.items(), key=lambda item: -item[1])
         if seconds >= 0.05
     ]

@@ -28,6 +28,7 @@ class Pair:
     ----------
     estimate : Track
     observation : Track or None
+    name : the name of the person, unique on the page
     was_observed : (n,) bool
         True if the position was observed at a frame of the estimate; without observations, the flag of the
         estimate, None if it has none.
@@ -41,6 +42,7 @@ class Pair:
 
     estimate: Track
     observation: Track | None
+    name: str
     was_observed: NDArray[np.bool_] | None
     observed_position: FloatArray
     observed_body: FloatArray
@@ -53,21 +55,28 @@ class Pair:
 
     @property
     def label(self) -> str:
-        """The person's label, from either track; empty if there is none."""
-        return self.estimate.label or (self.observation.label if self.observation is not None else "")
+        """The person's label, from either track; empty if there is none, or if it is the name."""
+        label = self.estimate.label or (self.observation.label if self.observation is not None else "")
+        return "" if label == self.name else label
 
     @property
-    def name(self) -> str:
-        """The name to display: the id, and the label if there is one."""
-        return f"person {self.estimate.track_id}" + (f" ({self.label})" if self.label else "")
+    def title(self) -> str:
+        """The name to display alone: ``person`` before an id, and the label if there is one."""
+        name = f"person {self.name}" if self.name == str(self.estimate.track_id) else self.name
+        return name + (f" ({self.label})" if self.label else "")
 
     def true_angle(self, name: str) -> FloatArray:
         """The true ``body`` or ``head`` (radians, (n,))."""
         return self.true_body if name == "body" else self.true_head
 
 
-def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
-    """Align the observations and the truth of one person with the frames of the estimate."""
+def pair_track(estimate: Track, observation: Track | None = None, name: str = "") -> Pair:
+    """Align the observations and the truth of one person with the frames of the estimate.
+
+    Parameters
+    ----------
+    name : the name of the person; by default the id
+    """
     n = len(estimate)
     observed_position, ellipses = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     was_observed: NDArray[np.bool_] | None = None
@@ -100,6 +109,7 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
     return Pair(
         estimate=estimate,
         observation=observation,
+        name=name or str(estimate.track_id),
         was_observed=was_observed,
         observed_position=observed_position,
         observed_body=angle_of_observations("body"),
@@ -115,7 +125,18 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
 def pair_tracks(estimates: TrackSet, observations: TrackSet | None = None) -> tuple[Pair, ...]:
     """Pair every estimate with the observations of the same ``track_id``, in the order of the estimates."""
     by_id = {} if observations is None else {track.track_id: track for track in observations}
-    return tuple(pair_track(estimate, by_id.get(estimate.track_id)) for estimate in estimates)
+    names = person_names(estimates, observations)
+    return tuple(pair_track(one, by_id.get(one.track_id), names[one.track_id]) for one in estimates)
+
+
+def person_names(estimates: TrackSet, observations: TrackSet | None = None) -> dict[int, str]:
+    """Return track id → name (`TrackSet.names`), of the observations where estimates have ids alone."""
+    names = estimates.names
+    if observations is None or any(name != str(k) for k, name in names.items()):
+        return names
+    given = observations.names
+    found = {k: given.get(k, name) for k, name in names.items()}
+    return found if len({*found.values()}) == len(found) else names
 
 
 def observed_angle(track: Track, name: str) -> FloatArray | None:
@@ -221,16 +242,14 @@ class Life:
 
     Attributes
     ----------
-    person : the id
-    label : display name, or empty
+    person : the name
     birth, death : seconds
     gaps : gaps in temporal order
     least : probability of the least certain link, across a gap or from one row to the next; NaN: none
     unsure : number of links with a probability below `UNSURE`
     """
 
-    person: int
-    label: str
+    person: str
     birth: float
     death: float
     gaps: tuple[Gap, ...]
@@ -244,8 +263,8 @@ class Life:
 
 
 def is_associated(pairs: Sequence[Pair]) -> bool:
-    """Return True if the tracks have identity probabilities, or flags of observed frames."""
-    return any(pair.estimate.identity_p is not None or pair.estimate.observed is not None for pair in pairs)
+    """Return True if the tracks have identity probabilities: their identities were not in the data."""
+    return any(pair.estimate.identity_p is not None for pair in pairs)
 
 
 def life_of(pair: Pair) -> Life:
@@ -255,8 +274,7 @@ def life_of(pair: Pair) -> Life:
     # NaN: unknown, as in a table in which only other tracks have the value.
     links = np.empty(0) if sure is None else sure[1:][np.isfinite(sure[1:])]
     return Life(
-        person=track.track_id,
-        label=pair.label,
+        person=pair.name,
         birth=float(t[0]),
         death=float(t[-1]),
         gaps=_gaps(t, _observed(pair), sure),
@@ -287,7 +305,7 @@ def identities_section(
     drawn : True if the page has a replay, whose data the timeline uses
     """
     items: list[Chart | DataTable] = [Chart("timeline", _TITLE, _NOTE)] if drawn else []
-    items.append(_lives_table(lives, events))
+    items.append(_lives_table(pairs, lives, events))
     items += _gaps_table(lives)
     if events:
         items.append(_events_table(pairs, events))
@@ -333,8 +351,9 @@ def _gaps(t: FloatArray, was_observed: NDArray[np.bool_], sure: FloatArray | Non
     return tuple(found)
 
 
-def _lives_table(lives: Sequence[Life], events: Sequence[IdentityEvent]) -> DataTable:
-    switches = Counter(track for one in events if one.switch for track in {one.before, one.after})
+def _lives_table(pairs: Sequence[Pair], lives: Sequence[Life], events: Sequence[IdentityEvent]) -> DataTable:
+    names = {pair.estimate.track_id: pair.name for pair in pairs}
+    switches = Counter(names.get(track) for one in events if one.switch for track in {one.before, one.after})
     rows = [
         {
             "person": life.person,
@@ -387,12 +406,13 @@ def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
 
 
 def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> DataTable:
+    names = {pair.estimate.track_id: pair.name for pair in pairs}
     rows = [
         {
-            "person": one.after,
+            "person": names.get(one.after, str(one.after)),
             "at (s)": t,
             "who it is in the truth": one.person,
-            "tracked before as": one.before,
+            "tracked before as": names.get(one.before, str(one.before)),
             "switch": one.switch,
             "found again": one.found_again,
         }

@@ -12,9 +12,11 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, direction
+from graphtrack.geometry.planar import heading_half_width, speed_interval
 from graphtrack.io.sensors import SensorScene
 from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section, records
+from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import behaviour_of
 from graphtrack.report.lives import (
@@ -28,7 +30,7 @@ from graphtrack.report.lives import (
 )
 from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
-from graphtrack.report.replay import replay_data
+from graphtrack.report.replay import KNOWN_HEADING, replay_data
 from graphtrack.report.sensors import sensors_section, shown_sensors
 from graphtrack.report.style import probability_ellipse
 from graphtrack.tracks.sensors import Sensors
@@ -43,11 +45,15 @@ if TYPE_CHECKING:
     from graphtrack.interaction.people import Place
     from graphtrack.io.read_write import Given
     from graphtrack.io.sensors import SensorsLike
+    from graphtrack.report.background import Background
     from graphtrack.report.interaction import Behaviour
 
 
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
+
+_MEDIAN_FRAMES = 500
+"""Frames of a person that medians of intervals are of."""
 
 ANGLES: tuple[Angle, ...] = ("body", "head")
 
@@ -68,6 +74,7 @@ def tracking_report(
     events: Sequence[IdentityEvent] | None = None,
     behaviour: Behaviour | None = None,
     sensors: Sensors | None = None,
+    background: Background | None = None,
 ) -> Report:
     """Compose the report of a tracking run.
 
@@ -85,6 +92,7 @@ def tracking_report(
         with it, or with tracks that were associated, there is a timeline of identities
     behaviour : groups, gaze and forecasts, from `graphtrack.report.interaction.behaviour_of`
     sensors : descriptions of sensors, by name: fields of view, and errors with their 1-σ
+    background : a photo or a floor plan to draw under the paths
 
     Returns
     -------
@@ -94,7 +102,7 @@ def tracking_report(
     Raises
     ------
     InputError
-        If a comparison table has no rows or lacks a column.
+        If a comparison table has no rows or lacks a column, or a background shows none of the paths.
     """
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
@@ -104,11 +112,17 @@ def tracking_report(
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
     shown = shown_sensors(pairs, sensors)
-    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour, sensors=shown)
+    ground = None if background is None else background.on_ground([one.position for one in estimates])
+    replay = replay_data(
+        pairs, lives=lives, events=events or (), behaviour=behaviour, sensors=shown, background=ground
+    )
     words = "Paths from above"
     words += "" if is_crowd(pairs) else ", with body and head at regular times"
     picture = Picture(
-        words, plot_pairs(pairs, sensors=shown), f"Bird's-eye view of the paths of {len(pairs)} people."
+        words,
+        plot_pairs(pairs, sensors=shown, background=ground),
+        f"Bird's-eye view of the paths of {len(pairs)} people.",
+        is_photo=ground is not None,
     )
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
     extra: tuple[Card, ...] = ()
@@ -120,7 +134,7 @@ def tracking_report(
         extra = behaviour_cards(behaviour)
     parts += [
         _angles_section(pairs),
-        Section("People", (people_table(pairs, errors),)),
+        Section("People", (people_table(pairs, errors), *motion_table(pairs))),
         Section("From above", (picture,)),
         *sensors_section(shown, sensors),
     ]
@@ -138,15 +152,23 @@ def tracking_report(
     )
 
 
-def constants_section(constants: Mapping[int, PersonalConstants]) -> tuple[Section, ...]:
-    """Return the section on each person's learned constants, by track id; none without any."""
+def constants_section(
+    constants: Mapping[int, PersonalConstants], names: Mapping[int, str]
+) -> tuple[Section, ...]:
+    """Return the section on each person's learned constants; none without any.
+
+    Parameters
+    ----------
+    constants : track id → constants
+    names : track id → name
+    """
     if not constants:
         return ()
     rows = []
     for track_id, one in constants.items():
         likely = max(one.coupling, key=lambda name: one.coupling[name])
         turns = [math.degrees(math.sqrt(d)) for d in (one.body_diffusion, one.head_diffusion)]
-        rows.append((track_id, one.acceleration_density, *turns, likely, 100.0 * one.coupling[likely]))
+        rows.append((names[track_id], one.acceleration_density, *turns, likely, 100.0 * one.coupling[likely]))
     table = DataTable(
         "Constants of each person",
         ("person", "q (m²/s³)", "body turns (°/√s)", "head turns (°/√s)", "orientations", "probability (%)"),
@@ -156,6 +178,27 @@ def constants_section(constants: Mapping[int, PersonalConstants]) -> tuple[Secti
         "person",
     )
     return (Section("Learned constants", (table,)),)
+
+
+def observed_section(calibration: Records) -> tuple[Section, ...]:
+    """Return the section on calibration without a truth; none without rows.
+
+    Parameters
+    ----------
+    calibration : from `graphtrack.evaluation.observed.observed_calibration`
+    """
+    rows = records(calibration)
+    if not rows:
+        return ()
+    words = "Reliability on the observations: share of them in the intervals that all others predict"
+    note = Note(
+        "Each observation is compared with its prediction from all others, with the noise that is declared "
+        "or was learned. On the grey line, 95 % of the observations lie in the intervals of 95 %: the "
+        "uncertainties are calibrated. No truth is needed; errors that all observations share do not show."
+    )
+    table = [{k: v for k, v in row.items() if k not in ("method", "confidence", "coverage")} for row in rows]
+    shown = Picture(words, plot_reliability(rows, "observations"))
+    return (Section("Calibration", (note, shown, DataTable.of("Reliability on the observations", table))),)
 
 
 def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
@@ -170,10 +213,11 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
     for pair, line in zip(pairs, errors, strict=True):
         estimate = pair.estimate
         step = np.diff(estimate.position[finite_rows(estimate.position)], axis=0)
-        body_std, head_std = (_median_degrees(estimate.std(name)) for name in ("body", "head"))
+        body_std, head_std = (_median(np.degrees(estimate.std(name))) for name in ("body", "head"))
         table.append(
             {
-                "person": estimate.track_id,
+                "person": pair.name,
+                "id": None if pair.name == str(estimate.track_id) else estimate.track_id,
                 "label": pair.label,
                 "from (s)": float(estimate.t[0]),
                 "to (s)": float(estimate.t[-1]),
@@ -194,6 +238,40 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataT
     )
     rows = [{c: row[c] for c in known} for row in table]
     return DataTable.of("Results of each person", rows, note, person_column="person", most=None)
+
+
+def motion_table(pairs: Sequence[Pair]) -> list[DataTable]:
+    """Return a table of each person's speed and heading, with intervals; none without velocities."""
+    rows = []
+    for pair in pairs:
+        track, velocity = pair.estimate, pair.estimate.velocity
+        if velocity is None or not (known := finite_rows(velocity)).any():
+            continue
+        # Ends of intervals take a while, and their medians change little with more frames.
+        some = np.unique(np.linspace(0, len(track) - 1, _MEDIAN_FRAMES).astype(int))
+        covariance = None if track.covariance is None else track.covariance[some, 2:4, 2:4]
+        low, high, half = np.full(1, np.nan), np.full(1, np.nan), np.full(1, np.nan)
+        if covariance is not None:
+            low, high = speed_interval(velocity[some], covariance)
+            half = heading_half_width(velocity[some], covariance)
+        rows.append(
+            {
+                "person": pair.name,
+                "median speed (m/s)": round(float(np.median(track.speed[known])), 3),
+                "95 % from": _median(low, 3),
+                "to": _median(high, 3),
+                "fastest (m/s)": round(float(track.speed[known].max()), 3),
+                "heading (°)": round(float(np.degrees(direction(velocity[known].sum(axis=0)))), 1),
+                "frames with a heading (%)": round(100.0 * float(np.mean(half < KNOWN_HEADING)), 1),
+                "heading ± 95 % (°)": _median(np.degrees(half[half < KNOWN_HEADING]), 1),
+            }
+        )
+    note = (
+        "Medians over the frames. The heading points from the first to the last frame; its interval "
+        "is that of a frame, of those in which it is known within 90°: nobody who stands has one."
+    )
+    title = "Speed and heading of each person"
+    return [DataTable.of(title, rows, note, person_column="person", most=None)] if rows else []
 
 
 def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
@@ -219,16 +297,19 @@ def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[Trac
     return estimates.map(shift), None if observations is None else observations.map(shift), origin
 
 
+_CURVES = "Speed and orientation"
+
+
 def _angles_section(pairs: tuple[Pair, ...]) -> Section:
-    tracks = [pair.estimate for pair in pairs]
     # The chart uses the data of the replay, which omits people without a position.
-    if not any((_is_known(t.body) or _is_known(t.head)) and _is_known(t.position) for t in tracks):
-        return Section("Body and head", (Note("No body or head angle was estimated."),))
+    placed = [pair.estimate for pair in pairs if _is_known(pair.estimate.position)]
+    if not any(_is_known(values) for one in placed for values in (one.velocity, one.body, one.head)):
+        return Section(_CURVES, (Note("No velocity, body or head was estimated."),))
     note = (
         "Shows the person selected here, in the replay or in the table of people. A click moves the replay "
         "to that time; drag to move, ctrl + wheel to zoom, double-click to fit."
     )
-    return Section("Body and head", (Chart("angles", "Orientation over time", note),))
+    return Section(_CURVES, (Chart("angles", "One person over time", note),))
 
 
 def _methods_section(comparison: Records | None, calibration: Records | None) -> Section:
@@ -288,14 +369,15 @@ def person_errors(pair: Pair) -> PersonErrors:
 def _median_radius(pair: Pair) -> float | None:
     if pair.estimate.covariance is None:
         return None
-    radius = probability_ellipse(pair.estimate.covariance[:, :2, :2]).semi_major
-    radius = radius[np.isfinite(radius)]
-    return float(np.median(radius)) if radius.size else None
+    return _median(probability_ellipse(pair.estimate.covariance[:, :2, :2]).semi_major)
 
 
-def _median_degrees(std: FloatArray) -> float | None:
-    known = std[np.isfinite(std)]
-    return float(np.degrees(np.median(known))) if known.size else None
+def _median(values: FloatArray, digits: int | None = None) -> float | None:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    median = float(np.median(known))
+    return median if digits is None else round(median, digits)
 
 
 def _is_known(values: FloatArray | None) -> bool:
@@ -312,6 +394,9 @@ def write_report(
     forecast: Forecasts | str | Path | None = None,
     places: Sequence[Place] | str | Path | None = None,
     sensors: SensorsLike | None = None,
+    crowd: Sequence[Place] | str | Path | None = None,
+    background: Background | None = None,
+    figures: str | Path | None = None,
     title: str = "Tracks",
     subtitle: str = "",
 ) -> None:
@@ -329,6 +414,9 @@ def write_report(
     places : other gaze targets, or a file with their positions
     sensors : descriptions of the sensors, or their file: fields of view and errors are shown. The tracks are
         in the world already. Fields of view that are not described are learned
+    crowd : zones and lines, or their file, in which PedPy measures density, speed and flow
+    background : a photo or a floor plan to draw under the paths
+    figures : folder for the figures of the page as SVG and PDF, made if it is missing
     title, subtitle : text at the top
 
     Raises
@@ -340,6 +428,11 @@ def write_report(
     tracks = tracks_of(tracks)
     observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
+    sections: tuple[Section, ...] = ()
+    if crowd is not None:
+        from graphtrack.report.crowd import crowd_sections  # PedPy takes seconds to import
+
+        sections = crowd_sections(tracks, crowd)
     report = tracking_report(
         tracks,
         observations,
@@ -347,5 +440,9 @@ def write_report(
         subtitle=subtitle,
         behaviour=behaviour,
         sensors=None if sensors is None else SensorScene.of(sensors),
+        sections=sections,
+        background=background,
     )
+    if figures is not None:
+        write_figures(figures, report, figures_of_people(tracks, observations))
     write_html(path, report)

@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.planar import heading_half_width, speed_interval
 from graphtrack.report.lives import UNSURE, Life, Pair, event_times, least_between
-from graphtrack.report.style import group_colour, longest_step, person_dash, probability_ellipse
+from graphtrack.report.style import (
+    NORMAL_95,
+    group_colour,
+    longest_step,
+    person_dash,
+    probability_ellipse,
+)
 from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track
 
@@ -22,6 +29,7 @@ if TYPE_CHECKING:
     from graphtrack.interaction.attention import Attention
     from graphtrack.interaction.groups import Groups
     from graphtrack.interaction.people import Place
+    from graphtrack.report.background import GroundImage
     from graphtrack.report.interaction import Behaviour
     from graphtrack.report.sensors import ShownSensor
 
@@ -40,6 +48,9 @@ SURE_STEP: Final = 1e-2
 
 COARSE_STEP: Final = 1e-2
 """Metres per unit of a coarsely coded length: of forecasts, and of groups."""
+
+KNOWN_HEADING: Final = float(np.pi / 2)
+"""Half of the 95 % arc (radians) from which a heading is not known: nobody who stands has one."""
 
 Codes = list[int | None]
 
@@ -231,6 +242,7 @@ def replay_data(
     events: Sequence[IdentityEvent] = (),
     behaviour: Behaviour | None = None,
     sensors: Sequence[ShownSensor] = (),
+    background: GroundImage | None = None,
 ) -> dict[str, Any]:
     """Return the data of the replay and the angle charts, ready for `json.dumps`.
 
@@ -249,6 +261,7 @@ def replay_data(
     events : switches and fragmentations, if the truth is known
     behaviour : groups, gaze and forecasts of the people
     sensors : from `graphtrack.report.sensors.shown_sensors`
+    background : an image under the paths
 
     Returns
     -------
@@ -257,8 +270,9 @@ def replay_data(
         of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
         four units), ``people``, ``events`` (each time, true person, track before, track after, whether a
         switch, whether found again), ``lives``, whether births, deaths and gaps are shown, ``unsure``,
-        the probability below which a link is, ``behaviour`` (see `behaviour_codes`), and ``sensors``
-        (title, colour, outline of the field of view, whether it was learned).
+        the probability below which a link is, ``behaviour`` (see `behaviour_codes`), ``sensors``
+        (title, colour, outline of the field of view, whether it was learned), and ``background`` (its
+        address, and left, right, bottom and top in metres), or None.
     """
     placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
     times = [pair.estimate.t for _, pair in placed]
@@ -271,6 +285,7 @@ def replay_data(
         | ({} if lives is None else _life(pair, lives[i], at))
         for (i, pair), at in zip(placed, kept, strict=True)
     ]
+    names = {pair.estimate.track_id: pair.name for pair in pairs}
     shown = None
     if behaviour is not None:
         shown, more = behaviour_codes(behaviour, [pair.estimate for _, pair in placed], kept)
@@ -289,6 +304,9 @@ def replay_data(
         },
         "people": people,
         "behaviour": shown,
+        "background": None
+        if background is None
+        else {"image": background.encoded(), "extent": [round(end, 3) for end in background.extent]},
         "sensors": [
             {
                 "title": one.title,
@@ -301,8 +319,9 @@ def replay_data(
         "lives": lives is not None,
         "unsure": UNSURE,
         "events": [
-            [round(t, 3), str(e.person), str(e.before), str(e.after), int(e.switch), int(e.found_again)]
+            [round(t, 3), str(e.person), before, after, int(e.switch), int(e.found_again)]
             for e, t in zip(events, event_times(pairs, events), strict=True)
+            for before, after in [[names.get(k, str(k)) for k in (e.before, e.after)]]
         ],
     }
 
@@ -364,6 +383,21 @@ def _thinned(
         every = max(every + 1, int(every * total / max_samples))
 
 
+def _motion(estimate: Track, at: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the 95 % interval of speed, and heading with 1/1.96 of half its 95 % arc, where it is known."""
+    absent = np.full(len(at), np.nan)
+    if estimate.velocity is None:
+        return absent, absent, absent, absent
+    velocity, heading = estimate.velocity[at], estimate.heading[at]
+    if estimate.covariance is None:
+        return absent, absent, heading, absent
+    covariance = estimate.covariance[at, 2:4, 2:4]
+    half = heading_half_width(velocity, covariance)
+    unknown = half >= KNOWN_HEADING
+    heading[unknown] = half[unknown] = np.nan
+    return *speed_interval(velocity, covariance), heading, half / NORMAL_95
+
+
 def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]) -> dict[str, Any]:
     estimate = pair.estimate
     observed = probability_ellipse(pair.observed_covariance[at])
@@ -375,11 +409,14 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
     ellipse = probability_ellipse(
         np.full((len(at), 2, 2), np.nan) if estimate.covariance is None else estimate.covariance[at, :2, :2]
     )
+    low, high, heading, heading_std = _motion(estimate, at)
     lengths = {
         "x": estimate.position[at, 0],
         "y": estimate.position[at, 1],
         "vx": velocity[:, 0],
         "vy": velocity[:, 1],
+        "speed_low": low,
+        "speed_high": high,
         "major": ellipse.semi_major,
         "minor": ellipse.semi_minor,
         "seen_x": pair.observed_position[at, 0],
@@ -391,6 +428,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
     }
     angles = {
         "tilt": ellipse.angle,
+        "heading": heading,
+        "heading_std": heading_std,
         "body": absent if estimate.body is None else estimate.body[at],
         "head": absent if estimate.head is None else estimate.head[at],
         "body_std": body_std[at],
@@ -403,8 +442,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
     }
     t = estimate.t[at]
     return {
-        # As text: a number in JavaScript has 53 bits.
-        "id": str(estimate.track_id),
+        "number": str(estimate.track_id),  # a number in JavaScript has 53 bits
+        "id": pair.name,
         "label": pair.label,
         "colour": person_colour(index),
         "dash": person_dash(index),

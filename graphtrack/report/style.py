@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, ndtri
+from scipy.special import chdtri
 
-from graphtrack.evaluation.metrics import without_unknown_correlations
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.planar import half_width, without_unknown_correlations
 from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, VELOCITY_COLOUR
 
 if TYPE_CHECKING:
@@ -53,6 +53,15 @@ def quantity_colour(name: str) -> str:
     return NEUTRAL_COLOUR
 
 
+NAME_LENGTH = 20
+"""Most characters of a name at an axis."""
+
+
+def plain(text: str, most: int = NAME_LENGTH) -> str:
+    """Return a name for a figure, cut to ``most`` characters, without mathematics between dollars."""
+    return (text if len(text) <= most else f"{text[: most - 1]}…").replace("$", r"\$")
+
+
 def new_figure(
     width: float, height: float, layout: Literal["constrained", "compressed"] = "constrained"
 ) -> Figure:
@@ -80,7 +89,7 @@ def tidy(axes: Axes, *, grid: str = "both") -> None:
     axes.tick_params(color="#9AA1AB", labelsize=9)
 
 
-NORMAL_95 = float(ndtri(0.975))
+NORMAL_95 = half_width(0.95)
 """Half-width of the central 95 % interval of a normal variable, in standard deviations."""
 
 

@@ -2,6 +2,8 @@
 
     python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/people -p fixed_frame:=map
     python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/laser/people,/camera/people
+    python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/people,/poses \\
+        -p type:=people_msgs/msg/People,geometry_msgs/msg/PoseArray
 
 Only this module needs ROS itself (rclpy) and the message packages.
 """
@@ -11,20 +13,27 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any
 
-import rclpy
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rosidl_runtime_py.utilities import get_message
-
 from graphtrack.errors import GraphtrackError
 from graphtrack.io.formats.ros_bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
 from graphtrack.io.formats.ros_writing import TOPICS, gaze_message, group_message, header_of, message_for
 from graphtrack.ros.live import Live, SceneEstimate
 
+try:
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    from rosidl_runtime_py.utilities import get_message
+except ModuleNotFoundError as error:
+    if __name__ != "__main__":
+        raise
+    expected = "a shell in which ROS 2 is set up (source /opt/ros/…/setup.bash)"
+    raise SystemExit(f"error: found no package {error.name}, expected {expected}") from error
+
 _DEPTH = 10
 _PARAMETERS = {
     "topic": "/people",
     "type": PEOPLE,
+    "reliability": "best_effort",
     "fixed_frame": "",
     "model": "joint",
     "lag": 2.0,
@@ -33,7 +42,16 @@ _PARAMETERS = {
 _BEHAVIOUR = {GROUP: "/humans/interactions/groups", GAZE: "/humans/interactions/gazing"}
 """Type → topic, by REP 155."""
 
+_RELIABILITY = {
+    "best_effort": ReliabilityPolicy.BEST_EFFORT,
+    "reliable": ReliabilityPolicy.RELIABLE,
+}
+
 _class_of = cache(get_message)
+
+
+def _listed(names: str) -> list[str]:
+    return [one.strip() for one in names.split(",") if one.strip()]
 
 
 def make(kind: str, **fields: Any) -> Any:
@@ -42,17 +60,28 @@ def make(kind: str, **fields: Any) -> Any:
 
 
 class GraphtrackNode(Node):
-    """Subscribes to the parameter ``topic``, one or several of ``type``, and publishes `TOPICS`."""
+    """Subscribes to the parameter ``topic``, one or several, and publishes `TOPICS`.
+
+    ``type`` is that of all topics, or has one for each. Subscriptions are best effort, which publishers of
+    either reliability match, unless ``reliability`` is "reliable".
+    """
 
     def __init__(self) -> None:
         super().__init__("graphtrack")
         for name, default in _PARAMETERS.items():
             self.declare_parameter(name, default)
         given = {name: self.get_parameter(name).value for name in _PARAMETERS}
-        if given["type"] not in OF_PEOPLE:
+        topics, types = _listed(given["topic"]), _listed(given["type"])
+        if not topics:
+            raise ValueError(f"topic {given['topic']!r}: a topic, or several with commas between")
+        if not types or not set(types) <= set(OF_PEOPLE):
             raise ValueError(f"type {given['type']}: one of {', '.join(OF_PEOPLE)}")
+        if len(types) not in (1, len(topics)):
+            raise ValueError(f"type {given['type']}: one for all topics, or one for each of {len(topics)}")
+        if given["reliability"] not in _RELIABILITY:
+            raise ValueError(f"reliability {given['reliability']}: one of {', '.join(_RELIABILITY)}")
         self._live = Live(
-            given["type"],
+            types[0],
             given["model"],
             lag=given["lag"],
             fixed_frame=given["fixed_frame"],
@@ -72,12 +101,10 @@ class GraphtrackNode(Node):
         self.create_subscription(
             transforms, "/tf_static", partial(self.take_transforms, static=True), latched
         )
-        topics = [one.strip() for one in given["topic"].split(",") if one.strip()]
-        if not topics:
-            raise ValueError(f"topic {given['topic']!r}: a topic, or several with commas between")
-        for topic in topics:
-            take = partial(self.take, topic=topic if len(topics) > 1 else "")
-            self.create_subscription(_class_of(given["type"]), topic, take, _DEPTH)
+        profile = QoSProfile(depth=_DEPTH, reliability=_RELIABILITY[given["reliability"]])
+        for topic, kind in zip(topics, types if len(types) > 1 else types * len(topics), strict=True):
+            take = partial(self.take, topic=topic if len(topics) > 1 else "", kind=kind)
+            self.create_subscription(_class_of(kind), topic, take, profile)
 
     def take_transforms(self, message: Any, *, static: bool) -> None:
         """Process a tf message."""
@@ -86,10 +113,10 @@ class GraphtrackNode(Node):
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
 
-    def take(self, message: Any, topic: str = "") -> None:
+    def take(self, message: Any, topic: str = "", kind: str | None = None) -> None:
         """Process a message of a topic, and publish the estimates."""
         try:
-            estimate = self._live.take(message, self.get_clock().now().nanoseconds, topic)
+            estimate = self._live.take(message, self.get_clock().now().nanoseconds, topic, kind)
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
             return

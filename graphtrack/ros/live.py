@@ -190,7 +190,7 @@ class _Sensors:
 
 
 class Live:
-    """Tracker of all people in the messages of one topic or several.
+    """Tracker of all people in the messages of one topic or several, also of different types.
 
     Each topic is a sensor, and each frame of reference of its messages; messages of a topic that have one
     stamp and other content are of several sensors too. People with names keep them as identities; messages
@@ -200,7 +200,7 @@ class Live:
 
     Parameters
     ----------
-    kind : the type of the messages, one of `graphtrack.io.formats.ros_bag.OF_PEOPLE`
+    kind : the type of the messages, one of `graphtrack.io.formats.ros_bag.OF_PEOPLE`, where `take` has none
     model, lag : as in `OnlineSmoother`
     fixed_frame : frame into which tf transforms all positions; None: that of the messages
     behaviour : True to report groups and gaze
@@ -226,8 +226,11 @@ class Live:
         self._memory = round(lag * SECOND) if math.isfinite(lag) else _JUMP
         self._longest_back = max(_JUMP, self._memory)
         self.transforms = Transforms()
-        humans = Humans("person", {}) if kind == IDS else None
-        self._ground = GroundFrame(fixed_frame or None, self.transforms, humans, has_transforms=False)
+        # People have positions in messages, or by their names in tf.
+        self._ground, self._by_name = (
+            GroundFrame(fixed_frame or None, self.transforms, humans, has_transforms=False)
+            for humans in (None, Humans("person", {}))
+        )
         self._behaves = behaviour
         self._warn = warn
         self.dropped = Counter[str]()
@@ -259,13 +262,16 @@ class Live:
         if self._last is not None:
             self.transforms.forget(self._last - _KEPT)
 
-    def take(self, message: Any, received: int | None = None, topic: str = "") -> SceneEstimate | None:
+    def take(
+        self, message: Any, received: int | None = None, topic: str = "", kind: str | None = None
+    ) -> SceneEstimate | None:
         """Process a message.
 
         Parameters
         ----------
         received : time of arrival (ns); the time of a message without a stamp
         topic : its topic, where there are several
+        kind : its type; None: that of all messages
 
         Returns
         -------
@@ -276,7 +282,8 @@ class Live:
         InputError
             For an invalid message.
         """
-        frame = frame_of(message, self._kind)
+        kind = self._kind if kind is None else kind
+        frame = frame_of(message, kind)
         if frame.stamp == 0 and received is not None:
             frame = frame._replace(stamp=received)
         if self._last is not None and frame.stamp < self._last - self._longest_back:
@@ -285,7 +292,7 @@ class Live:
             self._drop(_HELD, len(self._scans))
             self._begin()
             self.transforms.forget_after(frame.stamp)
-        names, observations = self._observed(frame)
+        names, observations = self._observed(frame, self._by_name if kind == IDS else self._ground)
         sensor, reason = self._sensors.of(topic, frame)
         self._last = frame.stamp if self._last is None else max(self._last, frame.stamp)
         if reason:
@@ -298,12 +305,13 @@ class Live:
             return self._estimated(frame.stamp, frame.frame_id, {})
         return self._take_nameless(frame, sensor, observations)
 
-    def _observed(self, frame: PeopleMessage) -> tuple[list[str], list[Observation]]:
+    def _observed(self, frame: PeopleMessage, ground: GroundFrame) -> tuple[list[str], list[Observation]]:
         """Return names and observations of the people with a position on the ground."""
         sightings = sightings_of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
         if len(sightings):
-            columns, known = self._ground.placed(sightings)
+            columns, known = ground.placed(sightings)
+            self._ground.fixed = self._by_name.fixed = ground.fixed
             usable = known & np.isfinite(columns["x"])
             columns = {name: values[usable] for name, values in columns.items()}
             self._drop(_NOWHERE, int((~usable).sum()))

@@ -26,7 +26,7 @@ from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.workers import Batch, Shard, Work, on_cluster, smooth_batch, tracks_of_batch
 from graphtrack.smoothing import learn_constants, make_smoothing_ready
 from graphtrack.tracks.display import listed
-from graphtrack.tracks.schema import TEXTS, in_order
+from graphtrack.tracks.schema import DERIVED, TEXTS, in_order
 from graphtrack.tracks.table import check_names
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import INPUT, Speeds
@@ -218,7 +218,7 @@ def _write(
 
 def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
     """Return the possible columns of a data set's estimates, in the order of writing."""
-    names = {"track_id", "frame", "t", "x", "y", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"}
+    names = {"track_id", "frame", "t", "x", "y", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std", *DERIVED}
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
             names |= {f"{name}_deg", f"{name}_std_deg"}

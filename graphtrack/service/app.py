@@ -104,8 +104,11 @@ class Streams:
         return name
 
     @asynccontextmanager
-    async def opened(self, name: str) -> AsyncIterator[Stream]:
-        """Open a stream for one connection; it ends, and its state is saved, when the connection ends."""
+    async def opened(self, name: str, resumes: bool = False) -> AsyncIterator[Stream]:
+        """Open a stream for one connection; it ends, and its state is saved, when the connection ends.
+
+        ``resumes``: whether the client resumes by itself where the connection breaks off
+        """
         await self.prepared.wait()
         if self.stopping.is_set():
             raise Refused(503, _STOPPING)
@@ -119,7 +122,7 @@ class Streams:
         self._open.add(name)
         self.metrics.streams.inc()
         try:
-            stream = await open_stream(name, self.service, self.metrics)
+            stream = await open_stream(name, self.service, self.metrics, resumes)
         except (OSError, EOFError) as error:
             self._release(name)
             reason = getattr(error, "strerror", None) or "its processes cannot be started"
@@ -201,12 +204,13 @@ def refusal(request: Request, refused: Exception) -> Response:
 async def by_websocket(websocket: WebSocket) -> None:
     """Receive rows, one or several lines a message. An empty message ends the stream.
 
-    Each answer is one message, or with ``?answers=together`` a message has all ready answers in lines.
+    Each answer is one message, or with ``?answers=together`` a message has all ready answers in lines. With
+    ``?resume=1`` a message ``{"ready": rows}`` comes first, after the answers that are given again.
     """
     streams: Streams = websocket.app.state.streams
     try:
         name = streams.checked_name(websocket)
-        async with streams.opened(name) as stream:
+        async with streams.opened(name, websocket.query_params.get("resume") == "1") as stream:
             await websocket.accept()
             together = websocket.query_params.get("answers") == "together"
             patience = streams.service.limits.patience
@@ -263,7 +267,7 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
         if incoming.done():
             if closing := incoming.result():
                 return closing
-            stream.no_more()
+            await stream.finish()
         code, reason = await outgoing
         failure = "" if reason else await stream.failure()
         return (_BROKEN, failure) if failure else (code, reason)

@@ -35,6 +35,7 @@ def openapi() -> dict[str, Any]:
     row |= {key: {"type": "integer", "minimum": -most, "maximum": most} for key, most in INTEGERS.items()}
     row |= {column.name: _number(column) for column in columns if column.field in CHANNELS}
     answer |= {key: {"type": ["integer", "null"]} for key in INTEGERS}
+    row["track_id"]["type"], answer["track_id"]["type"] = ["integer", "string"], ["integer", "string", "null"]
     answer |= {column.name: _number(column) for column in columns if column.field in _ANSWERED}
     answer |= {key: _number(BY_NAME[key]) for key in _ANGLES}
     answer["status"] = {"type": "string", "enum": list(get_args(Status))}

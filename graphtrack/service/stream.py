@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Iterable
 from contextlib import suppress
 
 from graphtrack.service.settings import Metrics, Service
-from graphtrack.service.worker import ASIDE, DONE, PIECE, WARM, work
+from graphtrack.service.worker import ASIDE, DONE, END, PIECE, WARM, work
 
 FORKED = "forkserver" in multiprocessing.get_all_start_methods()  # not on Windows
 PROCESSES = multiprocessing.get_context("forkserver") if FORKED else multiprocessing.get_context("spawn")
@@ -116,8 +116,14 @@ class Stream:
         except ConnectionError:  # the process died with unread rows
             return b""
 
+    async def finish(self) -> None:
+        """Signal that the client has ended the rows."""
+        with suppress(OSError):
+            await asyncio.get_running_loop().sock_sendall(self._connection, END)
+        self.no_more()
+
     def no_more(self) -> None:
-        """Signal the end of the rows."""
+        """Signal the end of the rows, which broke off unless they were finished."""
         self._ends_since = self._ends_since or time.monotonic()
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
@@ -232,8 +238,10 @@ def _start(process: multiprocessing.process.BaseProcess) -> None:
 _STARTING = threading.Lock()
 
 
-async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
+async def open_stream(name: str, service: Service, metrics: Metrics, resumes: bool = False) -> Stream:
     """Start a stream, or resume it from a saved state.
+
+    ``resumes``: as in `work`
 
     Raises
     ------
@@ -241,7 +249,7 @@ async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
         If no process can be started, for want of open files or memory.
     """
     here, there = socket.socketpair()
-    arguments = (there, service.answers, service.state_of(name), service.save_every)
+    arguments = (there, service.answers, service.state_of(name), service.save_every, resumes)
     process = PROCESSES.Process(target=work, args=arguments, name=f"stream {name}", daemon=True)
     try:
         await asyncio.to_thread(_start, process)

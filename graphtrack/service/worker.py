@@ -16,6 +16,7 @@ import socket
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ from graphtrack.streaming.session import Answers, Listener, track_stream
 
 DONE, ASIDE = b"#", b"!"
 """Prefixes of a line that counts answered rows, and of a note."""
+
+END = b"\x04\n"
+"""Line that ends the rows of a client that can resume; without it they broke off."""
 
 PIECE = 1 << 16
 """Bytes in one read."""
@@ -71,11 +75,16 @@ class Answered(io.TextIOBase):
 
 
 class Asking(io.BufferedIOBase):
-    """Yield rows; before waiting for more, send the answers to earlier rows."""
+    """Yield rows; before waiting for more, send the answers to earlier rows.
+
+    Attributes
+    ----------
+    has_ended : whether the last line was `END`
+    """
 
     def __init__(self, connection: socket.socket, answered: Answered) -> None:
         self._connection, self._answered = connection, answered
-        self._left = b""
+        self._left, self.has_ended = b"", False
 
     def readable(self) -> bool:
         """Return True."""
@@ -90,20 +99,26 @@ class Asking(io.BufferedIOBase):
                 return b""
             rows, end, left = data.rpartition(b"\n")
             rows, self._left = (self._left + rows + end, left) if end else (b"", self._left + left)
+            self.has_ended = rows.endswith(END)
+            rows = rows.removesuffix(END)
             if rows:
                 return rows
 
 
-def work(connection: socket.socket, answers: Answers, state: Path | None, save_every: float) -> None:
+def work(
+    connection: socket.socket, answers: Answers, state: Path | None, save_every: float, resumes: bool = False
+) -> None:
     """Answer rows from a socket until its end.
 
     With a saved state, rows that arrive together are saved together, and their answers are sent before the
-    next are saved. The exit status is 0, or 1 if the stream could not be started or resumed; the last line
-    has the reason.
+    next are saved. A client that resumes (``resumes``) is sent ``{"ready": rows}`` once rows are taken, and
+    the last answers again if its rows broke off. The exit status is 0, or 1 if the stream could not be
+    started or resumed; the last line has the reason.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service ends the stream
     reply = Answered(connection)
-    sys.stdin, sys.stdout = io.TextIOWrapper(Asking(connection, reply)), reply
+    rows_of_client = Asking(connection, reply)
+    sys.stdin, sys.stdout = io.TextIOWrapper(rows_of_client), reply
 
     def aside(message: dict[str, Any]) -> None:
         reply.write(f"{ASIDE.decode()}{json.dumps(message)}\n")
@@ -120,6 +135,12 @@ def work(connection: socket.socket, answers: Answers, state: Path | None, save_e
         aside({"rows": rows, "line": line, "given_again": again})
 
     listener = Listener(lambda text: aside({"note": text}), went_on, answered, all_answered)
+    if resumes:
+        listener = replace(
+            listener,
+            begun=lambda rows: aside({"ready": rows}),
+            broke_off=lambda: not rows_of_client.has_ended,
+        )
     try:
         track_stream(answers, state=state, save_every=save_every, listener=listener)
         reply.send()

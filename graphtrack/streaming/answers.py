@@ -5,200 +5,31 @@ Groups, attention and forecasts of a frame are added when the frame has ended.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
-import numpy as np
-
-from graphtrack.association.sensors import BETWEEN_SCANS
 from graphtrack.association.tracker import descriptors_of
 from graphtrack.constants.commons import Commons
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.constants.population import Population
 from graphtrack.errors import InputError
-from graphtrack.forecasting.forecaster import Forecast, Forecaster
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import Estimate, checked, pack_observation, unpack_observation
-from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.coupled import CONVERSATIONS
-from graphtrack.interaction.groups import Groups, OnlineGroups
-from graphtrack.interaction.people import Numbers, People, Place, numbers_of, people_at, people_of_estimates
+from graphtrack.interaction.people import people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.saved import Saved, integer
-from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
+from graphtrack.streaming.behaviour import FRAMES, Asked, EndedFrames, SceneBehaviour, by_person
+from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
 from graphtrack.streaming.described import DescribedSensors
-from graphtrack.streaming.moving import MOST_SENSORS, Group, MovingSensors
+from graphtrack.streaming.identities import TextIdentities
+from graphtrack.streaming.moving import Group, MovingSensors
 from graphtrack.streaming.protocol import Answering, error_row, estimate_row
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import SENSOR_NAME, is_sensor_name
-
-FRAMES = "frames"
-"""Key of `EndedFrames` among the saved members of a stream."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Selection of groups and attention to add to the estimates in answers.
-
-    Attributes
-    ----------
-    groups, attention : whether to report them
-    places : possible targets of gaze in addition to people
-    """
-
-    groups: bool = False
-    attention: bool = False
-    places: tuple[Place, ...] = ()
-
-    def settings(self) -> dict[str, Any]:
-        """Return settings that the answers depend on, as JSON-able data; empty without a selection."""
-        found: dict[str, Any] = {}
-        if self.groups:
-            found["groups"] = True
-        if self.attention:
-            found["attention"] = [[one.name, one.outline.tolist(), one.radius] for one in self.places]
-        return found
-
-
-class SceneBehaviour(Saved):
-    """Estimator of groups and attention of a scene, as columns of the people of each frame."""
-
-    _saved: ClassVar = {"_groups": Saved, "_attention": Saved}
-
-    def __init__(self, asked: Asked) -> None:
-        self._asked = asked
-        self._groups = OnlineGroups()
-        self._attention = OnlineAttention(asked.places) if asked.attention else None
-
-    def after(self, t: float) -> float:
-        """Return a time, or a little later one where the last frame with people is at that time."""
-        return max(t, self._groups.t + BETWEEN_SCANS)
-
-    def columns(self, people: People) -> dict[int, dict[str, Any]]:
-        """Return the columns of each person of a frame, by track id, ascending."""
-        found = self._groups.take(people)
-        rows: dict[int, dict[str, Any]] = {one: {} for one in found.track_id.tolist()}
-        if self._asked.groups:
-            rows = dict(zip(rows, _group_columns(found), strict=True))
-        if self._attention is not None:
-            for one, gaze in self._attention.take(people, found).by_person().items():
-                rows[one]["attention"] = [
-                    {"kind": kind, "target": target, "probability": p} for kind, target, p in gaze
-                ]
-        return rows
-
-
-def _group_columns(found: Groups) -> list[dict[str, Any]]:
-    """Return a dictionary for each row: the columns of the table, null where a cell is empty."""
-    columns = {name: values.tolist() for name, values in found.columns().items()}
-    names = ("group", "kind", "probability", "centre_x", "centre_y")
-    return [
-        {name: _null(value) for name, value in zip(names, row, strict=True)}
-        for row in zip(*(columns[name] for name in names), strict=True)
-    ]
-
-
-def _null(value: Any) -> Any:
-    return None if value != value or value == "" else value
-
-
-STEP = 0.4
-"""Default interval of forecasts, seconds, for horizons that are not shorter."""
-
-
-def by_person(forecast: Forecast) -> dict[int, list[dict[str, float]]]:
-    """Return the forecasts of each person: a dictionary for each time ahead."""
-    columns = forecast.columns()
-    ahead = forecast.ahead.round(9).tolist()
-    numbers = np.stack(list(columns.values()), axis=2).tolist()
-    return {
-        one: [
-            {"ahead": h, **dict(zip(columns, row, strict=True))} for h, row in zip(ahead, rows, strict=True)
-        ]
-        for one, rows in zip(forecast.track_id.tolist(), numbers, strict=True)
-    }
-
-
-class EndedFrames(Saved):
-    """Groups, attention and forecasts for rows with identities, reported when a frame has ended.
-
-    A frame ends with the next time. A row out of sequence changes no frame that has ended; it changes people
-    of the current frame through their estimates, and no forecast.
-
-    Parameters
-    ----------
-    behaviour : groups and attention; None: not requested
-    forecaster : of the people; None: no forecasts
-    ahead : (A,) seconds of the forecasts
-    """
-
-    _saved: ClassVar = {
-        "_t": float,
-        "_frame": int,
-        "_is_open": bool,
-        "_behaviour": Saved,
-        "_forecaster": Saved,
-        "_people": dict[int, tuple[float, ...]],
-        "_observed": dict[int, tuple[float, ...]],
-    }
-
-    def __init__(
-        self,
-        behaviour: SceneBehaviour | None = None,
-        forecaster: Forecaster | None = None,
-        ahead: FloatArray = np.empty(0),
-    ) -> None:
-        self._behaviour, self._forecaster, self._ahead = behaviour, forecaster, ahead
-        self._t, self._frame = -math.inf, 0
-        self._is_open = False
-        self._people: dict[int, Numbers] = {}
-        self._observed: dict[int, tuple[float, ...]] = {}
-
-    def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
-        """Add a row; return a row for each person of the previous frame, if that has ended."""
-        if estimate.status == "waiting":
-            return []
-        rows: list[dict[str, Any]] = []
-        if observation.t > self._t + TIME_TOLERANCE:
-            rows = self.finish()
-            self._t, self._frame, self._is_open = observation.t, observation.frame, True
-        if not self._is_open:
-            return rows
-        if self._behaviour is not None and abs(estimate.t - self._t) <= TIME_TOLERANCE:
-            self._people[track_id] = numbers_of(estimate)
-        if self._forecaster is not None and abs(observation.t - self._t) <= TIME_TOLERANCE:
-            at = observation.position
-            x, y = estimate.position.tolist() if at is None else at
-            given = (observation.position_std, observation.head)
-            if math.isfinite(x) and math.isfinite(y):
-                self._observed[track_id] = (x, y, *(math.nan if one is None else one for one in given))
-        return rows
-
-    def finish(self) -> list[dict[str, Any]]:
-        """Return the rows of the frame, one for each person, and end it; later rows of it are ignored."""
-        behaviour: dict[int, dict[str, Any]] = {}
-        ahead: dict[int, list[dict[str, float]]] = {}
-        if self._behaviour is not None and self._people:
-            behaviour = self._behaviour.columns(people_at(self._t, self._frame, self._people))
-        if self._forecaster is not None and self._observed:
-            values = np.array(list(self._observed.values()))
-            self._forecaster.update(self._t, list(self._observed), values[:, :2], values[:, 2], values[:, 3])
-            ahead = by_person(self._forecaster.forecast(self._ahead))
-        if self._people or self._observed:
-            self._is_open = False
-        self._people, self._observed = {}, {}
-        of_frame = {"frame": self._frame, "t": self._t}
-        known = sorted({*behaviour, *ahead}) if behaviour else ahead
-        return [
-            {"track_id": one, **of_frame, **behaviour.get(one, {})}
-            | ({"forecast": ahead[one]} if one in ahead else {})
-            for one in known
-        ]
 
 
 @dataclass(frozen=True)
@@ -212,13 +43,19 @@ class StreamBounds:
         forgotten. After 60 s the acceleration density leaves 100 m and 3 m/s of uncertainty: an estimate that
         goes on differs from a new one by a hundredth of its 1-σ after ten rows
     streams : most streams of detections at a time; a row of one more is an error
-    jump : seconds from a stream's newest time from which the time of a row is implausible; see `StreamClock`
+    jump, back : seconds after and before a stream's newest time from which the time of a row is implausible;
+        see `StreamClock`
     """
 
     people: int = 10_000
     forget_after: float = 60.0
     streams: int = 256
     jump: float = PLAUSIBLE
+    back: float = PLAUSIBLE
+
+    def clock(self) -> StreamClock:
+        """Return a new clock of a stream."""
+        return StreamClock(self.jump, self.back)
 
 
 @dataclass
@@ -266,17 +103,19 @@ class TrackAnswers(Answering):
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._commons = Commons(Population(), learns=False) if commons is None else commons
         self._waiting = dict[int, _Waiting]()
-        self.clock = StreamClock(bounds.jump)
+        self.clock, self._identities = bounds.clock(), TextIdentities()
         self.members = of_scene()
 
     def shared_state(self) -> dict[str, Any]:
         """Return the state of the clock, and what people have in common."""
-        return {"clock": self.clock.state(), **self._commons.state(), **super().shared_state()}
+        own = {"clock": self.clock.state(), "identities": self._identities.state()}
+        return own | self._commons.state() | super().shared_state()
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
         super().restore_shared(state)
         self.clock.restore(state["clock"])
+        self._identities.restore(state["identities"])
         self._commons.restore(state)
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
@@ -291,7 +130,11 @@ class TrackAnswers(Answering):
             for one in self.ready(number, line, found[-1]):
                 self._answer(*one, found[-1])
         self._take_waiting()
-        return found
+        return [self._named(answers) for answers in found]
+
+    def _named(self, answers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Return answers with the identities of the rows."""
+        return [row if "error" in row else self._identities.restored(row) for row in answers]
 
     def _answer(self, number: int, line: bytes, answers: list[dict[str, Any]]) -> None:
         """Process a row; its answer is added at once, or by `_take_waiting`."""
@@ -301,10 +144,13 @@ class TrackAnswers(Answering):
             cells = plain_cells(line)
             if cells is None:
                 pairs = self.pairs_of(line)
-                cells = read_cells(pairs)
+                cells = read_cells(pairs, ("frame",))
             self._unknown_keys.check_used(cells)
-            observation = self.observed(cells)
-            self._take(cells["track_id"], observation, answers)
+            has_frame = "frame" in cells
+            observation = self.observed(cells if has_frame else {**_with_time(cells), "frame": 0})
+            if not has_frame:
+                observation = replace(observation, frame=self.clock.frame(observation.t, observation.sensor))
+            self._take(self._identities.number(cells["track_id"], self.members), observation, answers)
         except InputError as error:
             answers.append(error_row(pairs or tuple((cells or {}).items()), number, error))
 
@@ -312,9 +158,20 @@ class TrackAnswers(Answering):
         """Process a row whose time is plausible or confirmed; else let it wait."""
         smoother: OnlineSmoother = self.members.get(track_id) or self._make()
         observation = smoother.usable(observation)
-        verdict = self.clock.verdict(observation.t)
+        verdict = self.clock.verdict(observation.t, observation.sensor)
+        is_near = verdict != "plausible" and self.clock.is_within(observation.t)
+        if is_near and self._has_own_times(track_id, observation.t):
+            verdict = "plausible"
         if verdict != "plausible":
             self._take_waiting()
+        if verdict == "unconfirmed" and is_near:
+            # The clock may have been set back, or a row be out of sequence by more than the lag.
+            self.clock.wait(track_id, observation, self._bounds.people)
+            if track_id in self.members:
+                answers.append(estimate_row(track_id, smoother.unchanged(observation, "too-late")))
+            else:
+                self._wait_for(track_id, observation, answers)
+            return
         if verdict == "unconfirmed":
             self.note_unconfirmed(observation.t, self.clock)
             self.clock.wait(track_id, observation, self._bounds.people)
@@ -322,7 +179,15 @@ class TrackAnswers(Answering):
             return
         if verdict == "confirmed":
             answers += self._confirm()
+        self.clock.advance(observation.t, observation.sensor)
         self._wait_for(track_id, observation, answers)
+
+    def _has_own_times(self, track_id: int, t: float) -> bool:
+        """Return whether a time (seconds) before the newest is in order for a known person."""
+        known: OnlineSmoother | None = self.members.get(track_id)
+        if known is None or any(one == track_id for one, _ in self.clock.waiting):
+            return False
+        return known.last is None or known.last.t <= t + self.clock.back
 
     def _confirm(self) -> list[dict[str, Any]]:
         """Process the rows whose time is confirmed; return the answers of frames that end thereby.
@@ -331,6 +196,8 @@ class TrackAnswers(Answering):
         """
         note, is_earlier, rows = self.clock.confirm()
         self._note(note)
+        if is_earlier:
+            self._moving.set_back(rows[0][1].t)
         answers: list[dict[str, Any]] = []
         if is_earlier:
             answers += self._end_frame()
@@ -347,7 +214,6 @@ class TrackAnswers(Answering):
 
     def _wait_for(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
         """Queue a row for joint processing; process it at once for new people, or if people interact."""
-        self.clock.advance(observation.t)
         if gone := self.clock.forget(self._bounds.forget_after):
             self._take_waiting()
             for one in gone:
@@ -411,7 +277,7 @@ class TrackAnswers(Answering):
         for one in self.at_the_end():
             self._answer(*one, answers)
         self._take_waiting()
-        return answers + self._end_frame()
+        return self._named(answers + self._end_frame())
 
     def _end_frame(self) -> list[dict[str, Any]]:
         if FRAMES not in self.members:
@@ -472,9 +338,13 @@ class DetectionStream(Saved):
     }
 
     def __init__(
-        self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None, jump: float = PLAUSIBLE
+        self,
+        tracker: OnlineTracker,
+        behaviour: SceneBehaviour | None = None,
+        clock: StreamClock | None = None,
     ) -> None:
-        self.tracker, self.behaviour, self.clock = tracker, behaviour, StreamClock(jump)
+        self.tracker, self.behaviour = tracker, behaviour
+        self.clock = StreamClock() if clock is None else clock
         tracker.unused = ()  # the stream itself notes keys that are not used
         tracker.corrects = False  # it corrects rows before poses turn them
         self.t: float | None = None
@@ -631,9 +501,8 @@ class Scenes(Answering):
             found = f"a row of track {cells['track_id']} among detections without identity"
             raise InputError(found, "rows with identities alone, or --associate always", column="track_id")
         number = cells.get("frame")
-        if "t" not in cells and number is None:
-            raise InputError("neither t nor frame", "the time of the observation", column="t")
-        return self.observed({**cells, "frame": number or 0}), number
+        cells = cells if number is not None else {**_with_time(cells), "frame": 0}
+        return self.observed(cells), number
 
     def _take(
         self,
@@ -644,7 +513,7 @@ class Scenes(Answering):
     ) -> list[dict[str, Any]]:
         """Process a detection, or the end of a scan or a time, if its time is plausible or confirmed."""
         frame = self._known(name)
-        verdict = frame.clock.verdict(one.t)
+        verdict = frame.clock.verdict(one.t, one.sensor)
         if verdict == "plausible" and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
             column = "t" if ends == "nothing" else "end"
             raise InputError(f"{column} = {one.t:.15g}", f"a time from {frame.t:.15g} on", column=column)
@@ -660,14 +529,14 @@ class Scenes(Answering):
                 raise InputError(f"one more than {MOST_DETECTIONS} detections", "a later time", column="t")
         if verdict == "plausible":
             frame.tracker.check_time(one.t, one.sensor)
-        self._see(name, frame, None if verdict == "unconfirmed" else one.t)
+        self._see(name, frame, None if verdict == "unconfirmed" else one)
         if verdict == "unconfirmed":
             self.note_unconfirmed(one.t, frame.clock)
             frame.clock.wait(number, one, MOST_DETECTIONS)
             counts = {"detections": len(_detections(frame.clock.waiting)), "status": "unconfirmed"}
             return [_of_stream(name) | {"end": one.t} | _of_sensor(one.sensor) | counts]
         rows = self._confirm(name, frame) if verdict == "confirmed" else []
-        frame.clock.advance(one.t)
+        frame.clock.advance(one.t, one.sensor)
         if self._is_after(frame, one.t):
             rows += self._flush(name)
         frame.t = one.t if frame.t is None else frame.t
@@ -692,9 +561,8 @@ class Scenes(Answering):
         """Return a new stream with track ids from ``first`` on."""
         tracker = self._make()
         tracker.number_from(first)
-        return DetectionStream(
-            tracker, None if self._asked is None else SceneBehaviour(self._asked), self._bounds.jump
-        )
+        behaviour = None if self._asked is None else SceneBehaviour(self._asked)
+        return DetectionStream(tracker, behaviour, self._bounds.clock())
 
     @property
     def _newest(self) -> DetectionStream:
@@ -702,15 +570,15 @@ class Scenes(Answering):
         newest: DetectionStream = next(reversed(self.members.values()))
         return newest
 
-    def _see(self, name: Name, frame: DetectionStream, t: float | None) -> None:
-        """Move a stream with a row to the end of the members; the row's time, if it counts, elapses."""
+    def _see(self, name: Name, frame: DetectionStream, one: Observation | None) -> None:
+        """Move a stream with a row to the end of the members; the time of a row, if it counts, elapses."""
         elapsed, numbered = (self._newest.elapsed, self._newest.numbered) if self.members else (0.0, 0)
         is_new = self.members.pop(name, None) is None
         self.members[name] = frame
-        if t is not None:
-            if is_new or frame.clock.verdict(t) != "plausible":
-                frame.offset = elapsed - t
-            elapsed = max(elapsed, t + frame.offset)
+        if one is not None:
+            if is_new or frame.clock.verdict(one.t, one.sensor) != "plausible":
+                frame.offset = elapsed - one.t
+            elapsed = max(elapsed, one.t + frame.offset)
         frame.elapsed, frame.numbered = elapsed, numbered
 
     def _confirm(self, name: Name, frame: DetectionStream) -> list[dict[str, Any]]:
@@ -721,6 +589,7 @@ class Scenes(Answering):
         if is_earlier:
             again = self._begin(frame.tracker.next_number)
             frame.tracker, frame.behaviour = again.tracker, again.behaviour
+            self._moving.set_back(waiting[0][1].t)
         frame.t = waiting[-1][1].t
         for number, one in waiting:
             frame.add(number, one)
@@ -780,6 +649,13 @@ class Scenes(Answering):
             found["scene"] = asdict(frame.tracker.scene)
         rows.append(of_stream | {"end": frame.t} | of_sensor | counts | found)
         return rows
+
+
+def _with_time(cells: dict[str, Any]) -> dict[str, Any]:
+    """Return the cells of a row without a frame; raise InputError if it has no time either."""
+    if "t" not in cells:
+        raise InputError("neither t nor frame", "the time of the observation", column="t")
+    return cells
 
 
 def _of_stream(name: Name) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import math
 from bisect import bisect_right, insort
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from graphtrack.errors import InputError
@@ -13,8 +14,8 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Observation
 from graphtrack.model.observation import on_the_ground, without_errors
 from graphtrack.saved import real
-from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
-from graphtrack.streaming.moving import MOST_SENSORS, MOST_WAITING, Group, Waiting
+from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
+from graphtrack.streaming.moving import MOST_WAITING, Group, Waiting
 from graphtrack.tracks.sensors import NO_SENSORS, Sensors
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -69,7 +70,7 @@ class DescribedSensors:
     ----------
     sensors : descriptions by name
     camera : of the scene, for positions of pixels
-    jump : seconds from the newest time from which times are implausible; see `StreamClock`
+    jump, back : seconds after and before the newest time from which times are implausible; see `StreamClock`
     note : called with a sentence on each sensor that is not described
     """
 
@@ -79,8 +80,10 @@ class DescribedSensors:
         camera: GroundCamera | None = None,
         jump: float = PLAUSIBLE,
         note: Callable[[str], None] = lambda text: None,
+        back: float = PLAUSIBLE,
     ) -> None:
-        self._sensors, self._camera, self._jump, self._note = sensors, camera, jump, note
+        self._sensors, self._camera, self._note = sensors, camera, note
+        self._clock = partial(StreamClock, jump, back)
         self._offsets = {one.clock_offset or 0.0 for one in sensors.values()}
         self._orders: dict[Group, _Order] = {}
         self._noted: set[str] = set()
@@ -131,9 +134,9 @@ class DescribedSensors:
         offset = self._offset(sensor)
         one = Waiting(number, line, group, sensor, t - offset)
         found, order = self._order(group)
-        verdict = order.clock.verdict(one.t)
+        verdict = order.clock.verdict(one.t, sensor or "")
         if verdict == "unconfirmed":
-            order.clock.wait(None, Observation(one.t), 1)
+            order.clock.wait(None, Observation(one.t, sensor=sensor or ""), 1)
             order.jumped.append(one)
             if len(order.jumped) > MOST_WAITING:
                 found.append(order.jumped.pop(0))
@@ -144,7 +147,7 @@ class DescribedSensors:
             order.held, order.newest, order.uncorrected = [], {}, -math.inf
         found += order.jumped
         order.jumped = []
-        order.clock.advance(one.t)
+        order.clock.advance(one.t, sensor or "")
         order.newest[offset] = max(one.t, order.newest.get(offset, -math.inf))
         order.uncorrected = max(order.uncorrected, t)
         insort(order.held, one, key=_time)
@@ -171,7 +174,7 @@ class DescribedSensors:
         """Take over a `state`."""
         self._orders = {}
         for group, saved in state:
-            order = self._orders[group] = _Order(StreamClock(self._jump))
+            order = self._orders[group] = _Order(self._clock())
             order.restore(saved)
 
     def _offset(self, sensor: str | None) -> float:
@@ -189,7 +192,7 @@ class DescribedSensors:
         dropped: list[Waiting] = []
         order = self._orders.pop(group, None)
         if order is None:
-            order = _Order(StreamClock(self._jump))
+            order = _Order(self._clock())
             if len(self._orders) >= _MOST_STREAMS:
                 silent = self._orders.pop(next(iter(self._orders)))
                 dropped = [*silent.held, *silent.jumped]

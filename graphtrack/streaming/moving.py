@@ -17,7 +17,7 @@ from graphtrack.io.formats.ndjson import Pairs, unique
 from graphtrack.model import Observation
 from graphtrack.model.observation import channels_of, observation_at
 from graphtrack.saved import check_numbers, count, real
-from graphtrack.streaming.clock import PLAUSIBLE, StreamClock
+from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
 from graphtrack.tracks.moving import EVERY, UNDECLARED, channels_in_world, nearby
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import (
@@ -44,8 +44,8 @@ _OPTIONAL = dict.fromkeys(("x_std", "y_std", "yaw_std_deg"), Bounds(0.0, LARGEST
 PATIENCE = 2.0
 """Seconds that rows wait for a pose where the lag is unlimited."""
 
-MOST_SENSORS, MOST_POSES, MOST_WAITING = 256, 10_000, 10_000
-"""Most sensors of a stream that move, or that detect, poses of each within the lag, and rows that wait."""
+MOST_POSES, MOST_WAITING = 10_000, 10_000
+"""Most poses of each sensor within the lag, and most rows that wait."""
 
 Group = str | int | None
 """Stream of detections, whose lines stay in order; None: rows with identities, which need not."""
@@ -81,7 +81,7 @@ class MovingSensors:
     Parameters
     ----------
     lag : seconds that a row waits, and that poses are kept; None: `PATIENCE`
-    jump : seconds from the newest pose from which times are implausible; see `StreamClock`
+    jump, back : seconds after and before the newest pose from which times are implausible; see `StreamClock`
     undeclared : as in `channels_in_world`
     """
 
@@ -90,9 +90,10 @@ class MovingSensors:
         lag: float | None = None,
         jump: float = PLAUSIBLE,
         undeclared: tuple[float, float] = UNDECLARED,
+        back: float = PLAUSIBLE,
     ) -> None:
         self._lag, self._undeclared = PATIENCE if lag is None else lag, undeclared
-        self._clock, self._newest = StreamClock(jump), -math.inf
+        self._clock, self._newest = StreamClock(jump, back), -math.inf
         self._poses: dict[str, list[list[float]]] = {}  # t, x, y, yaw, and their variances, by t
         self._paths: dict[str, PosePath] = {}
         self._times: dict[str, list[float]] = {}  # of rows that were placed, ascending
@@ -122,9 +123,9 @@ class MovingSensors:
         value = {name: _number(given, name, bounds) for name, bounds in _NEEDED.items()}
         spread = {name: _number(given, name, bounds, 0.0) for name, bounds in _OPTIONAL.items()}
         t, note = value["t"], None
-        verdict = self._clock.verdict(t)
+        verdict = self._clock.verdict(t, sensor)
         if verdict == "unconfirmed":
-            self._clock.wait(None, Observation(t), 1)
+            self._clock.wait(None, Observation(t, sensor=sensor), 1)
             note = None if self._has_noted else f"t = {t:.15g} s is unconfirmed until the next pose agrees"
             self._has_noted = True
             return None, note
@@ -132,7 +133,7 @@ class MovingSensors:
             note, _, _ = self._clock.confirm()
             self._poses, self._paths, self._newest = {name: [] for name in self._poses}, {}, t
             self._times = {}
-        self._clock.advance(t)
+        self._clock.advance(t, sensor)
         self._newest = max(self._newest, t)
         is_new = sensor not in self._poses
         if is_new and len(self._poses) >= MOST_SENSORS:
@@ -151,6 +152,10 @@ class MovingSensors:
         del poses[: max(min(first - 1, len(poses) - 2), len(poses) - MOST_POSES, 0)]
         self._paths.pop(sensor, None)
         return sensor if is_new else None, note
+
+    def set_back(self, t: float) -> None:
+        """Go on at an earlier time (seconds), that of rows whose clock was set back."""
+        self._newest = min(self._newest, t)
 
     def hold(self, one: Waiting) -> bool:
         """Let a line wait if it has to; return whether it does.
@@ -249,7 +254,7 @@ class MovingSensors:
         return next((name for name in (sensor, EVERY) if name in self._poses), None)
 
     def _is_near(self, t: float) -> bool:
-        return self._clock.verdict(t) == "plausible"
+        return self._clock.is_within(t)
 
     def _is_due(self, one: Waiting) -> bool:
         name = None if one.sensor is None else self._name(one.sensor)
@@ -257,7 +262,8 @@ class MovingSensors:
             return True
         poses = self._poses[name]
         has_later = len(poses) > 1 and poses[-1][0] >= one.t - TIME_TOLERANCE
-        return has_later or self._newest - one.t > self._lag
+        # A row far ahead is of the time before its clock was set back.
+        return has_later or abs(self._newest - one.t) > self._lag
 
     @staticmethod
     def _is_behind(one: Waiting, waiting: list[Waiting]) -> bool:

@@ -30,7 +30,7 @@ from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, Movi
 from graphtrack.tracks.cells import Layout
 from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
 from graphtrack.tracks.table import ANGLES, IN_DEGREES
-from graphtrack.tracks.time import DAY, NANOSECONDS_IN
+from graphtrack.tracks.time import DAY, NANOSECONDS_IN, NotIso, TimeScale, from_text, is_iso
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
 from graphtrack.tracks.validation import APPEARANCE, INPUT, LARGEST_DEGREES, LARGEST_SECONDS
 
@@ -219,9 +219,12 @@ class Answering:
         """Note the first row whose time (seconds) is implausible."""
         if not self._has_noted_jump:
             self._has_noted_jump = True
+            assert clock.now is not None
+            after, hint = f"more than {clock.limit:g} s after", "; --forget-after allows longer steps"
+            place, hint = (after, hint) if t > clock.now else (f"more than {clock.back:g} s before", "")
             self._note(
-                f"a row with t = {t:.15g} s, more than {clock.limit:g} s from {clock.now:.15g} s, is "
-                "unconfirmed until the next row agrees; --forget-after allows longer steps"
+                f"a row with t = {t:.15g} s, {place} {clock.now:.15g} s, is unconfirmed until the next row "
+                f"agrees{hint}"
             )
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
@@ -375,6 +378,12 @@ _DIGITS = 3
 ORIGIN = "time_origin"
 """Key of the origin among the settings of a state."""
 
+DATES = "dates"
+"""Key of the origin there, as text in the form of the stream's times, where these are text."""
+
+_MICROSECONDS = 6
+"""Decimals of the seconds of dates, where the first has none."""
+
 KNOWN = "known_names"
 """Key there of the flag that columns were read by well-known names."""
 
@@ -409,13 +418,14 @@ def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] 
 
 @dataclass(frozen=True)
 class StreamNames:
-    """Names of a stream's columns and the unit of its times.
+    """Names of a stream's columns, and the unit or form of its times.
 
     Attributes
     ----------
     columns : name in the native table → name in the stream
     unit : nanoseconds of the unit of time; those of a second leave times unchanged
     origin : nanoseconds at t = 0; see `beginning`
+    dates : the form of times that are text in ISO 8601; None: times are numbers
     are_known : whether the columns were read by well-known names, without options
     radians : columns of the native table that are radians in the stream
     angles : convention of the stream's angles; None: native
@@ -425,6 +435,7 @@ class StreamNames:
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: int = NANOSECONDS_IN["s"]
     origin: int = 0
+    dates: TimeScale | None = None
     are_known: bool = False
     radians: frozenset[str] = frozenset()
     angles: AngleConvention | None = None
@@ -464,7 +475,7 @@ class StreamNames:
         Columns of well-known names (`column_names.SYNONYMS`) are read as in a file, unless options name the
         columns, and reported to ``note``. The seconds of a stream with another unit count from the midnight
         (UTC) before it, which is subtracted while times are whole numbers: a double that counts from 1970
-        has no digits left below a microsecond.
+        has no digits left below a microsecond. So do those of dates and times as text (ISO 8601).
 
         Raises
         ------
@@ -475,6 +486,12 @@ class StreamNames:
         if given is None:
             return lines, self
         names = self._with_synonyms(list(given), note)
+        text = next(
+            (given[name] for name in map(names._name, _TIMES) if isinstance(given.get(name), str)), ""
+        )
+        if is_iso(text):
+            dates = from_text([text], None)[1]
+            return lines, replace(names, dates=replace(dates, digits=dates.digits or _MICROSECONDS))
         if names._leaves_times:
             return lines, names
         time = next((given[name] for name in map(names._name, _TIMES) if _is_number(given.get(name))), 0)
@@ -502,6 +519,9 @@ class StreamNames:
             unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
             known = {str(key): str(name) for key, name in columns.items()}
             names = replace(self, columns=known, unit=unit, are_known=True)
+        if isinstance(dates := saved.get(DATES), str) and is_iso(dates):
+            scale = from_text([dates], None)[1]
+            return replace(names, dates=scale)
         origin = saved.get(ORIGIN)
         return names.counting_from(origin if isinstance(origin, int) else 0)
 
@@ -512,7 +532,7 @@ class StreamNames:
     @property
     def are_native(self) -> bool:
         """Return True if all names and units are those of the native table."""
-        return not self.columns and self._leaves_times and self.angles is None
+        return not self.columns and self._leaves_times and self.dates is None and self.angles is None
 
     @property
     def _leaves_times(self) -> bool:
@@ -526,6 +546,7 @@ class StreamNames:
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
         found |= {"radians": sorted(self.radians)} if self.radians else {}
+        found |= {} if self.dates is None else {DATES: self.dates.restored(np.zeros(1))[0]}
         return found | ({KNOWN: True} if self.are_known else {})
 
     def native_lines(self, lines: Lines, note: Callable[[str], None] | None = None) -> Lines:
@@ -567,6 +588,11 @@ class StreamNames:
         return f"{{{body}}}\n".encode()
 
     def _seconds(self, value: Any) -> Any:
+        if self.dates is not None:
+            try:
+                return from_text([value], self.dates)[0].item() if isinstance(value, str) else value
+            except NotIso:  # an invalid time, refused later
+                return value
         if self._leaves_times or not _is_number(value):
             return value
         try:
@@ -625,6 +651,8 @@ class StreamNames:
         return self._time(value) if key in _TIMES else value
 
     def _time(self, value: Any) -> Any:
+        if self.dates is not None and _is_number(value):
+            return self.dates.restored(np.array([value]))[0]
         if self._leaves_times or not _is_number(value):
             return value
         count = round(value * (1e9 / self.unit), 0 if self.unit == 1 else _DIGITS)

@@ -33,7 +33,7 @@ from graphtrack.model import Model
 from graphtrack.saved import count, damaged
 from graphtrack.streaming.protocol import Answering
 
-VERSION = 9
+VERSION = 10
 """Version of the format and of the meaning of its texts; up to 5 it was a text file."""
 
 _APPLICATION = 0x47547374  # "GTst", where SQLite files name their application
@@ -393,6 +393,7 @@ class Saving:
         with self._naming_the_file():
             header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
+            answers = _answers_of(header["again"])
             people.restore_shared(header["shared"])
             first_row = 1 + header["people"]
             known = set()
@@ -418,13 +419,16 @@ class Saving:
         rows = [[number, line.decode("utf-8", "surrogateescape")] for number, line in lines]
         self._file.append(rows if len(rows) > 1 else rows[0])
 
-    def tend(self) -> None:
-        """Do the work due after an answer: write one more person, or begin the next snapshot."""
+    def tend(self, answers: Sequence[list[dict[str, Any]]] = ()) -> None:
+        """Do the work due after answers: write one more person, or begin the next snapshot.
+
+        ``answers``: those to the last rows, if they may be lost; repeated where no rows follow the snapshot
+        """
         if self._left is not None:
             self._write_next()
         elif self._every is not None and self._clock() >= self._due:
             self._due = self._clock() + self._every
-            self._begin()
+            self._begin(answers)
 
     def finish(self) -> None:
         """Record that all rows were answered, so that a resumed run repeats no answer."""
@@ -448,7 +452,7 @@ class Saving:
         except Exception as error:  # a value of a wrong type may raise anything
             raise damaged(error, "what 'graphtrack track -' wrote", self._file.path) from error
 
-    def _begin(self) -> None:
+    def _begin(self, answers: Sequence[list[dict[str, Any]]] = ()) -> None:
         people = self._people
         left = [(key, _copied(member)) for key, member in people.members.items()]
         self._header = {
@@ -456,6 +460,7 @@ class Saving:
             "rows": people.rows,
             "line": people.line,
             "people": len(left),
+            "again": list(answers),
             "shared": people.shared_state(),
         }
         self._left = left[::-1]
@@ -496,6 +501,15 @@ def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
     if type(track_id) not in (int, str) or not isinstance(state, dict) or len(entry) != 2:
         raise ValueError(f"a state of {track_id!r} that is a {type(state).__name__}")
     return track_id, state
+
+
+def _answers_of(value: Any) -> list[list[dict[str, Any]]]:
+    """Return the answers that a header holds; ValueError if it has another form."""
+    if not isinstance(value, list) or not all(isinstance(one, list) for one in value):
+        raise ValueError(f"answers {str(value)[:60]}")
+    if not all(isinstance(row, dict) for one in value for row in one):
+        raise ValueError(f"answers {str(value)[:60]}")
+    return value
 
 
 def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:

@@ -37,16 +37,8 @@ from graphtrack.io.sensors import SensorScene
 from graphtrack.model import Model
 from graphtrack.model.given import EVIDENCE, unused_columns
 from graphtrack.model.terms.walls import StaysInside
-from graphtrack.streaming.answers import (
-    FRAMES,
-    Asked,
-    DetectionStream,
-    EndedFrames,
-    SceneBehaviour,
-    Scenes,
-    StreamBounds,
-    TrackAnswers,
-)
+from graphtrack.streaming.answers import DetectionStream, Scenes, StreamBounds, TrackAnswers
+from graphtrack.streaming.behaviour import FRAMES, Asked, EndedFrames, SceneBehaviour
 from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MovingSensors
 from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
@@ -59,6 +51,9 @@ _PIECE = 1 << 16
 
 MOST_TOGETHER = 128
 """Largest number of waiting rows that are answered together."""
+
+_LEAST_BACK = 1.0
+"""Seconds by which a clock is set back at least; smaller steps are rows out of sequence."""
 
 Row = dict[str, Any]
 
@@ -131,17 +126,18 @@ class Answers:
     def _moving(self) -> MovingSensors:
         likelihood = self.model.parameters.likelihood
         undeclared = likelihood.position_std, likelihood.velocity_std
-        return MovingSensors(self.lag, self._bounds.jump, undeclared)
+        return MovingSensors(self.lag, self._bounds.jump, undeclared, self._bounds.back)
 
     def _described(self, note: Callable[[str], None]) -> DescribedSensors:
         known = NO_SENSORS if self.sensors is None else self.sensors
-        return DescribedSensors(known, self.camera, self._bounds.jump, note)
+        return DescribedSensors(known, self.camera, self._bounds.jump, note, self._bounds.back)
 
     @property
     def _bounds(self) -> StreamBounds:
         """The bounds; the time of a row that could still be used, or whose person is kept, is plausible."""
         longest = max(self.bounds.jump, self.bounds.forget_after, self.lag or 0.0)
-        return replace(self.bounds, jump=longest)
+        back = longest if self.lag is None else max(_LEAST_BACK, self.lag)
+        return replace(self.bounds, jump=longest, back=back)
 
     def _of_scene(self) -> dict[str, Any]:
         """Return new frames and conversations, where they are requested or the model has groups."""
@@ -191,7 +187,7 @@ class Answers:
 
     def restored_scene(self, key: Any, saved: Any) -> DetectionStream:
         """Restore a member of `scenes` from its state."""
-        return DetectionStream.from_state(saved, self._tracker(), self._behaviour(), self._bounds.jump)
+        return DetectionStream.from_state(saved, self._tracker(), self._behaviour(), self._bounds.clock())
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that the answers depend on, as JSON-able data."""
@@ -236,6 +232,9 @@ class Listener:
         the last of them, and the number of the last rows that are answered again
     answered : called when all answers to a row were given
     all_answered : called when rows that came together are answered, before the next are kept
+    begun : called with the number of rows in the state once others are taken
+    broke_off : called at the end of the input: True if its sender did not end it, so that answers may be lost
+        and are given again when the stream goes on; None: every end is one
     progress : makes a context of a function that is called with the number of rows processed again
     most_together : largest number of waiting rows that are kept and answered together
     """
@@ -244,6 +243,8 @@ class Listener:
     went_on: Callable[[int, int, int], None] = ignore
     answered: Callable[[Answering], None] = ignore
     all_answered: Callable[[], None] = ignore
+    begun: Callable[[int], None] = ignore
+    broke_off: Callable[[], bool] | None = None
     progress: Callable[[int, str], AbstractContextManager[Callable[[int], None]]] = lambda total, unit: (
         nullcontext(ignore)
     )
@@ -301,6 +302,7 @@ def track_stream(
         incoming: Lines = iter(())  # rows are read once the number of rows in the state is known
         lines = incoming
         if saved is None:
+            listener.begun(0)
             incoming = lines_of(stream, 1)
             lines, names = names.beginning(incoming, refuse, listener.note)
             lines = names.native_lines(lines, listener.note)
@@ -326,12 +328,17 @@ def track_stream(
         elif saving is not None:
             restore = answers.restored_scene if are_detections else answers.restored_person
             _go_on(saving, people, restore, listener, emit)
+            listener.begun(people.rows)
             incoming = lines_of(stream, people.line + 1)
             lines = names.native_lines(incoming, listener.note)
         rows, wrong = _answer(lines, people, saving, listener, emit, _is_here(incoming))
-        if saving is not None:
+        if saving is not None and not _broke_off(listener):
             saving.finish()
     return rows + nobody.rows, wrong + refused
+
+
+def _broke_off(listener: Listener) -> bool:
+    return listener.broke_off is not None and listener.broke_off()
 
 
 def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
@@ -376,16 +383,18 @@ def _answer(
                     some += islice(lines, 1)
                 if saving is not None:
                     saving.take(some)
-                for answers in people.answers_together(some):
+                found = people.answers_together(some)
+                for answers in found:
                     for row in answers:
                         wrong += "error" in row
                         emit(row)
                     listener.answered(people)
-                if saving is not None:
-                    saving.tend()
                 listener.all_answered()
-            for row in people.finish():
-                emit(row)
+                if saving is not None:
+                    saving.tend(found if listener.broke_off is not None else ())
+            if not _broke_off(listener):
+                for row in people.finish():
+                    emit(row)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong

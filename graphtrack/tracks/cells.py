@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +18,17 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.conventions import AngleConvention
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.schema import TEXTS, is_column, repeated, unknown
+from graphtrack.tracks.schema import (
+    BOX_KEYS,
+    BOXES,
+    CLASS,
+    COMMON_NAMES,
+    ESTIMATED,
+    TEXTS,
+    is_column,
+    repeated,
+    unknown,
+)
 from graphtrack.tracks.table import (
     ANGLES,
     DEGREES,
@@ -57,6 +69,9 @@ if TYPE_CHECKING:
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of each unit of length."""
 
+KEYS = ("track_id", "frame", "t", "x", "y", "lat", "lon", "u", "v")
+"""Meanings of columns that a table must have if its reader names them."""
+
 WILD = "*"
 """Placeholder of the identity in a column's name, for tables with columns for each person."""
 
@@ -72,6 +87,7 @@ class Layout:
     units : unit of length
     crs : coordinate reference system; None: a ground in ``units``, and for degrees WGS 84
     angles : convention of angles, kept with the rows, whose angles are not converted yet; None: native
+    exclusive : whether columns of `COMMON_NAMES` that are not named are ignored
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -79,6 +95,7 @@ class Layout:
     units: str | None = None
     crs: str | None = None
     angles: AngleConvention | None = None
+    exclusive: bool = False
 
     def __post_init__(self) -> None:
         if self.time_unit is not None:
@@ -97,6 +114,10 @@ class Layout:
     def by_number(self) -> bool:
         """Return whether columns are numbered from 1, as in a table without a header."""
         return bool(self.columns) and all(name.isdecimal() for name in self.columns.values())
+
+    def of_names(self, names: Collection[str]) -> bool:
+        """Return whether a header has native names: the file was written after a reading by numbers."""
+        return not self.columns.keys().isdisjoint(names)
 
     @property
     def wild(self) -> dict[str, str]:
@@ -134,6 +155,7 @@ class Cells:
     zones : name → time zone of a column of dates; they are in UTC
     refused : reason → number of rows that were left out
     floats : (name) → (n,) numbers of a column of text, by a faster way, or None if a cell needs the slow one
+    numbered : whether columns have numbers for names, since the file has no header
     """
 
     path: Path
@@ -143,6 +165,7 @@ class Cells:
     zones: Mapping[str, str] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
     floats: Callable[[str], FloatArray | None] = lambda name: None
+    numbered: bool = False
 
     def fail(
         self, found: str, expected: str, row: int | None = None, column: str | None = None
@@ -150,6 +173,20 @@ class Cells:
         """Return the error for a cell, a row (from 0), a column, or the whole table."""
         line = None if row is None else self.line_of(row)
         return InputError(found, expected, path=self.path, line=line, column=column)
+
+    def keep(self, mask: NDArray[np.bool_], reason: str) -> Cells:
+        """Return the rows where the mask (n,) holds; others are counted as refused for the reason."""
+        if mask.all():
+            return self
+        rows, line_of, columns = np.flatnonzero(mask), self.line_of, self.columns
+        refused = dict(Counter(self.refused) + Counter({reason: int(len(mask) - len(rows))}))
+        return replace(
+            self,
+            columns=Columns(list(columns), lambda name: columns[name][rows]),
+            line_of=lambda row: line_of(int(rows[row])),
+            refused=refused,
+            floats=lambda name: None,
+        )
 
     def refuse(self, wrong: NDArray[np.bool_], name: str, expected: str) -> None:
         """Raise InputError for the first cell of a column that is wrong (n,), if there is one."""
@@ -306,6 +343,15 @@ def is_empty(cell: object) -> bool:
     return isinstance(differs, bool | np.bool_) and bool(differs)
 
 
+EMPTY_WORDS = ("na", "nan", "-nan", "null", "none", "n/a", "#n/a", "<na>")
+"""Words, in lower case, that R, MATLAB, pandas and spreadsheets write for an empty cell of a number."""
+
+
+def is_missing(cell: object) -> bool:
+    """Return whether a cell of a column of numbers is empty, or has a word for that."""
+    return is_empty(cell) or (isinstance(cell, str) and cell.strip().lower() in EMPTY_WORDS)
+
+
 def _is_real(cell: object) -> bool:
     """Return whether a cell is a finite number, and not text, true or false, or a container."""
     if isinstance(cell, str | bool) or not hasattr(cell, "__float__") or getattr(cell, "shape", ()) != ():
@@ -346,7 +392,7 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
     found = np.empty(len(values))
     for row, cell in enumerate(values.tolist()):
         value: float | None = None
-        if is_empty(cell):
+        if is_missing(cell):
             value = math.nan
         elif isinstance(cell, str):
             value = parse_number(cell)
@@ -364,7 +410,7 @@ def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
 def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     """Return identities (n,) as whole numbers, NaN where a cell is empty, and track id → text for text.
 
-    Whole numbers are kept; text is numbered from 1 in the order of appearance.
+    Whole numbers, 1.0 among them, are kept; text is numbered from 1 in the order of appearance.
     """
     values = cells.columns[name]
     if values.dtype.kind in "iuf":
@@ -380,9 +426,10 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
             found = f"the {'text' if is_text else 'number'} {str(cell)[:_LONGEST]!r} after "
             found += f"the {'number' if is_text else 'text'} {str(known[0][1])[:_LONGEST]!r}"
             raise cells.fail(found, "identities of one kind", row, name)
-    if not known or not text[0] or all(_is_integer(cell) for _, cell in known):
+    integers = [(row, cell) for row, cell in known if not is_missing(cell)]
+    if not known or not text[0] or (integers and all(_is_integer(cell) for _, cell in integers)):
         numbered = np.full(len(values), np.nan)
-        numbered[[row for row, _ in known]] = [float(cell) for _, cell in known]
+        numbered[[row for row, _ in integers]] = [float(cell) for _, cell in integers]
         return numbered, {}
     for row, cell in known:
         if not is_unicode(cell):
@@ -403,11 +450,19 @@ def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, s
 
 
 def _is_integer(text: str) -> bool:
-    """Return whether a text is a whole number that reads back to the same text: 007 is a name."""
-    digits = text.strip().removeprefix("-")
-    if not (digits.isdecimal() and digits.isascii()) or len(digits) > 16:
-        return False
-    return str(int(text)) == text.strip() and abs(int(text)) <= LARGEST_ID
+    """Return whether a text is a whole number, perhaps with a point and zeros: 007 is a name."""
+    return _INTEGER.fullmatch(text.strip()) is not None and abs(float(text)) <= LARGEST_ID
+
+
+_INTEGER = re.compile(r"-?(0|[1-9]\d{0,15})(\.0*)?", re.ASCII)
+
+
+def _begins_with_text(cells: Cells, name: str) -> bool:
+    """Return whether the first cell of a column that is not empty is text, and no number."""
+    values = cells.columns[name]
+    known = (cell for cell in values.tolist() if not is_missing(cell)) if values.dtype.kind == "O" else ()
+    first = next(iter(known), None)
+    return isinstance(first, str) and parse_number(first) is None
 
 
 def times(
@@ -566,9 +621,15 @@ def rows_of_cells(
     layout : meaning of the columns; unnamed columns with names of the native table are read as native
     fps : frames a second, for a table without times
     reference : layout of another table with the same origins of time and position
-    strict : whether the table has to be native: identities and times are numbers, and frames are not numbered
+    strict : whether the table has to be native: times are numbers, identities too unless the first is text,
+        and frames are not numbered
     """
     wide = bool(layout.wild)
+    if layout.by_number and not cells.numbered and layout.of_names(cells.columns):
+        layout = replace(layout, columns={key: key for key in layout.columns})
+    if set(cells.columns) >= ESTIMATED:  # estimates lack the columns that their model did not use
+        there = {key: name for key, name in layout.columns.items() if name in cells.columns or key in KEYS}
+        layout = replace(layout, columns=there)
     cells, layout = long(cells, layout)
     named = _named(cells, layout)
     notes: list[str] = []
@@ -576,10 +637,12 @@ def rows_of_cells(
     names: dict[int, str] = {}
     time = None
     for key, name in named.items():
-        if key == "track_id" and not strict:
+        if key == "track_id" and (not strict or _begins_with_text(cells, name)):
             columns[key], names = identities(cells, name)
         elif key in TEXTS:
             columns[key] = labels(cells, name)
+        elif key == CLASS:
+            continue
         elif key == "t" and (key in layout.columns or _has_moments(cells, name, layout, strict)):
             columns[key], time, time_notes = times(
                 cells, name, layout.time_unit, None if reference is None else reference.time
@@ -589,6 +652,7 @@ def rows_of_cells(
             columns[key] = numbers(cells, name)
     if names and "label" not in columns:
         columns["label"] = np.array([names.get(k, "") for k in columns["track_id"].tolist()], dtype=object)
+    box = _boxes(columns)
     plane = _on_the_ground(columns, cells, named, layout, reference, notes)
     if layout.angles is not None and layout.angles.unit == "rad":
         columns |= {key: np.rad2deg(columns[key]) for key in IN_DEGREES if key in columns}
@@ -600,7 +664,10 @@ def rows_of_cells(
     if not strict:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
-    ignored = unknown(name for name in cells.columns if name not in used and name != IDENTITY)
+    ignored = [name for name in unknown([*cells.columns, *named]) if name not in used and name != IDENTITY]
+    unnamed = [name for name in COMMON_NAMES if name in cells.columns and name not in used]
+    if unnamed:
+        notes.append(f"columns {listed(unnamed)} were not read: --columns does not name them")
     try:
         rows = from_columns(
             columns,
@@ -611,13 +678,21 @@ def rows_of_cells(
             fail=cells.fail,
             ignored=ignored,
             notes=tuple(notes),
+            names=names,
         )
     except InputError as error:
         column = error.column
         raise error.at(column=named.get(column, column) if isinstance(column, str) else column) from None
     kept = {key: name for key, name in layout.columns.items() if name in used}
+    if cells.numbered:  # it is written with a header
+        kept = {key: key for key in kept}
     if wide:
         kept = {key: name for key, name in kept.items() if key not in layout.wild and name != IDENTITY}
+    if box is not None:
+        rows = rows.with_channels(**box)
+        kept = {key: name for key, name in kept.items() if key not in BOX_KEYS}
+    if names:
+        kept.setdefault("track_id", "track_id" if wide else named["track_id"])
     as_read = AsRead(kept, time, layout.metre, names, plane, angles=layout.angles)
     return replace(rows, as_read=None if as_read == AsRead() else as_read, refused=cells.refused)
 
@@ -652,11 +727,44 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
     for pair, metres in _PAIRS.items():
         if degrees:
             meant |= {*metres} if pair == DEGREES else set()
+    placed = {"x", "u", DEGREES[0]}
+    if not placed & {*named, *cells.columns} - ({"u"} & meant):
+        for name in BOX_KEYS if layout.exclusive else (*BOX_KEYS, "confidence", CLASS):
+            if name in cells.columns and name not in meant and name not in named.values():
+                named[name] = name
+    if layout.exclusive and not set(cells.columns) >= ESTIMATED:
+        meant |= set(COMMON_NAMES)
+        meant |= {"u", "v"} if meant & {"x", "lat"} else set()
     for name in cells.columns:
         of_truth = degrees and name in TRUE_DEGREES
         if (is_column(name) or of_truth) and name not in meant and name not in named.values():
             named[name] = name
     return named
+
+
+def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
+    """Replace the columns of boxes by those of their foot points; return the channels of boxes.
+
+    The channels are ``box`` (n, 4), left, top, width and height in pixels, and ``confidence`` (n,), −1 where
+    it is not known.
+    """
+    given = {key: columns.pop(key) for key in BOX_KEYS if key in columns}
+    confidence = columns.pop("confidence", None)
+    form = next((form for form in BOXES if set(form) <= given.keys()), None)
+    if form is None or {"x", "u", DEGREES[0]} & columns.keys():
+        return None
+    first, second, third, fourth = (given[key] for key in form)
+    if "right" in form:
+        third, fourth = third - first, fourth - second
+    if "center_x" in form:
+        first, second = first - third / 2.0, second - fourth / 2.0
+    box = np.column_stack([first, second, third, fourth])
+    box[np.isnan(box).any(axis=1)] = np.nan
+    columns["u"], columns["v"] = box[:, 0] + box[:, 2] / 2.0, box[:, 1] + box[:, 3]
+    if "track_id" in columns:
+        columns["track_id"] = np.nan_to_num(columns["track_id"], nan=-1.0)
+    sure = np.full(len(box), -1.0) if confidence is None else np.nan_to_num(confidence, nan=-1.0)
+    return {"box": box, "confidence": sure}
 
 
 def labels(cells: Cells, name: str) -> NDArray[Any]:

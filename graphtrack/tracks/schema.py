@@ -126,14 +126,39 @@ TEXTS = ("sensor", "label")
 NAMES = (*INTEGERS, *BY_NAME, *TEXTS)
 """All columns of the native table except inputs, in the order of writing."""
 
+COMMON_NAMES = ("label", "score", "observed", "vx", "vy")
+"""Columns whose names other programs use for other things: with ``--columns`` only those named are read."""
+
+ESTIMATED = frozenset(("x_std", "y_std", "vx_std", "vy_std"))
+"""Columns of all estimates; a table that has them was written by this package."""
+
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
-"""Columns that a tracker on pixels writes in addition to those of a track; nothing is read from them."""
+"""Columns that a tracker on pixels writes next to those of a track; read where there is no position."""
+
+BOXES = (BOX_COLUMNS[:4], ("left", "top", "right", "bottom"), ("center_x", "center_y", "width", "height"))
+"""Columns of a box in pixels, in any of its forms."""
+
+BOX_KEYS = tuple(dict.fromkeys(name for form in BOXES for name in form))
+
+CLASS = "class"
+"""Column of the class of what was detected; it is no attribute of a track."""
 
 TILT_COLUMN = "head_tilt_deg"
 """A further such column, of trackers of heads: degrees above the horizontal."""
 
 TRUE_ID = "true_id"
 """A further such column: whom a simulated sensor detected, empty for a false detection."""
+
+DERIVED = ("speed", "speed_std", "heading_deg")
+"""Columns that are computed from velocities, and written with them; nothing is read from them."""
+
+INTERVALS = {"speed": "speed", "heading_deg": "heading", "body_deg": "body", "head_deg": "head"}
+"""Columns that are written with the ends of their intervals on request, and the names in `Track.interval`."""
+
+ENDS = ("low", "high")
+"""Suffixes of the columns with the ends of an interval."""
+
+INTERVAL_COLUMNS = tuple(f"{name}_{end}" for name in INTERVALS for end in ENDS)
 
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
 """Columns of `graphtrack track -` next to an estimate, or in its place; not part of a track either."""
@@ -154,7 +179,9 @@ def repeated(names: Iterable[str]) -> str | None:
 
 def unknown(names: Iterable[str]) -> list[str]:
     """Return the columns of a file that are neither of the native table nor known to be irrelevant."""
-    return [name for name in names if name not in _KNOWN and numeric(name) is None]
+    given = list(names)
+    derived = (*DERIVED, *INTERVAL_COLUMNS) if "vx" in given else ()
+    return [name for name in given if name not in _KNOWN and name not in derived and numeric(name) is None]
 
 
 _INPUT_COLUMN = re.compile(
@@ -214,7 +241,8 @@ def in_order(names: Collection[str]) -> tuple[str, ...]:
     there = set(names)
     known = [name for name in NAMES if name in there]
     place = len(known) - sum(name in there for name in TEXTS)
-    return (*known[:place], *(column.name for column in inputs), *known[place:])
+    derived = [name for name in (*DERIVED, *INTERVAL_COLUMNS) if name in there]
+    return (*known[:place], *(column.name for column in inputs), *derived, *known[place:])
 
 
 TOGETHER: tuple[tuple[str, ...], ...] = (

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +47,7 @@ LENGTHS = (
     *("x", "y", "pos_std", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std", "true_x", "true_y"),
     *("observed_x_std", "observed_y_std"),
     *("observed_vx", "observed_vy", "observed_vx_std", "observed_vy_std"),
+    *("speed", "speed_std", "speed_low", "speed_high"),
 )
 """Columns of the native table that are metres, or metres a second."""
 
@@ -140,14 +142,21 @@ def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> d
     return found
 
 
+def identity_names(ids: Collection[int], as_read: AsRead | None) -> dict[int, str]:
+    """Return track id → identity of the file, unique; ids that the file does not have are ``track 7``."""
+    names: Mapping[int, str] = {} if as_read is None else as_read.names
+    taken = set(names.values())
+    return {k: names.get(k) or (f"track {k}" if str(k) in taken else str(k)) for k in ids}
+
+
 def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[str, Any]:
     """Return the columns with text identities of the file; labels equal to them are left out."""
     found: dict[str, Any] = dict(columns)
     if not as_read.names or "track_id" not in found or "track_id" not in as_read.columns:
         return found
     ids = found["track_id"].tolist()
-    unnamed = {k: f"track {k}" if str(k) in as_read.names.values() else str(k) for k in {*ids}}
-    names = [as_read.names.get(k, unnamed[k]) for k in ids]
+    of = identity_names({*ids}, as_read)
+    names = [of[k] for k in ids]
     if "label" in found and "label" not in as_read.columns and found["label"].tolist() == names:
         del found["label"]
     found["track_id"] = np.array(names, dtype=object)
@@ -270,6 +279,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.track_id)
 
+    def person(self, row: int) -> str:
+        """Return the person of a row as the file names it, for messages."""
+        return name_of(int(self.track_id[row]), {} if self.as_read is None else self.as_read.names)
+
     @property
     def n_read(self) -> int:
         """Number of rows of the file, including refused rows."""
@@ -358,7 +371,7 @@ def sorted_rows(rows: Rows) -> Rows:
         # The first of them in the file.
         i = min((np.flatnonzero(backwards) + 1).tolist(), key=lambda i: order[i])
         raise InputError(
-            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
+            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of {rows.person(i)}",
             "a time after that of the frame before",
             path=rows.path,
             line=rows.line_of(i),
@@ -392,13 +405,16 @@ def _check_bounds(rows: Rows) -> None:
         if place is not None:
             i = place[0]
             at = {"path": rows.path, "line": rows.line_of(i)}
-            raise out_of_bounds(name, values[place], int(rows.frame[i]), int(rows.track_id[i]), **at)
+            raise out_of_bounds(name, values[place], int(rows.frame[i]), rows.person(i), **at)
+
+
+NO_PIXEL_CAMERA = "pixels u, v and no camera"
 
 
 def no_camera(rows: Rows) -> InputError:
     """Return the error for rows with pixels alone and no camera or scale."""
-    expected = "x, y, or a homography or point pairs as well"
-    return InputError("pixels u, v and no camera", expected, path=rows.path)
+    expected = "x, y, or a homography, point pairs, a calibration or metres per pixel as well"
+    return InputError(NO_PIXEL_CAMERA, expected, path=rows.path)
 
 
 def check_identities(rows: Rows) -> None:
@@ -421,7 +437,7 @@ def check_rows(rows: Rows) -> None:
         later = order[np.flatnonzero(twice) + 1]
         i = int(later.min())
         raise InputError(
-            f"track {rows.track_id[i]} again in frame {rows.frame[i]}",
+            f"{rows.person(i)} again in frame {rows.frame[i]}",
             "each track once a frame, or a column sensor with the names of several",
             path=rows.path,
             line=rows.line_of(i),
@@ -490,6 +506,7 @@ def from_columns(
     fail: Callable[..., InputError],
     ignored: Sequence[str],
     notes: tuple[str, ...],
+    names: Mapping[int, str] = MappingProxyType({}),
 ) -> Rows:
     """Return rows from the columns of the native table, checked cell by cell.
 
@@ -501,6 +518,7 @@ def from_columns(
     fail : makes the error for what is found and expected in a row and a column
     ignored : names of further columns of the file
     notes : assumptions so far
+    names : track id → identity, where identities are text
     """
     identified = "track_id" in columns
     if not identified and "frame" in columns:
@@ -530,7 +548,7 @@ def from_columns(
         columns["frame"].astype(np.int64),
         _channels(columns),
         line_of,
-        _labels(columns.get("label"), track_id, fail),
+        _labels(columns.get("label"), track_id, fail, names),
         _sensors(columns.get("sensor"), fail),
         notes=notes,
         has_identity=identified and bool((track_id != -1).any()),
@@ -621,8 +639,16 @@ def _complete(covariance: FloatArray) -> None:
     covariance[:, 0, 1] = covariance[:, 1, 0] = both
 
 
+def name_of(track_id: int, names: Mapping[int, str]) -> str:
+    """Return a person's identity in a file, given track id → text: ``track 7``, or ``track anna``."""
+    return f"track {names.get(track_id, track_id)}"
+
+
 def _labels(
-    labels: NDArray[Any] | None, track_id: NDArray[np.int64], fail: Callable[..., InputError]
+    labels: NDArray[Any] | None,
+    track_id: NDArray[np.int64],
+    fail: Callable[..., InputError],
+    names: Mapping[int, str],
 ) -> dict[int, str]:
     """Return track id → label; empty cells are skipped."""
     if labels is None:
@@ -635,7 +661,10 @@ def _labels(
             raise fail(repr(label), TEXT, row, "label")
         if found.setdefault(identity, label) != label:
             raise fail(
-                f"{label!r} after {found[identity]!r}", f"one label for track {identity}", row, "label"
+                f"{label!r} after {found[identity]!r}",
+                f"one label for {name_of(identity, names)}",
+                row,
+                "label",
             )
     return found
 

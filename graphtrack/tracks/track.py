@@ -20,11 +20,14 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
+from graphtrack.geometry.planar import half_width, heading_half_width, speed_interval, speed_std
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import (
     COLUMNS,
+    ENDS,
     INPUT_NAME,
+    INTERVALS,
     LARGEST_CORRELATION,
     Column,
     input_columns,
@@ -37,6 +40,8 @@ from graphtrack.tracks.table import (
     ReadSummary,
     Rows,
     check_identities,
+    identity_names,
+    name_of,
     restored,
     sorted_rows,
 )
@@ -63,7 +68,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.geometry.camera import GroundCamera
-from graphtrack.geometry.conventions import converted
+from graphtrack.geometry.conventions import AngleConvention, converted
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
 
@@ -240,7 +245,7 @@ class Track:
             )
         place = bounds_of(name).first_outside(value)
         if place is not None:
-            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
+            raise out_of_bounds(name, value[place], self.frame[place[0]], f"track {self.track_id}")
         return value
 
     def _checked_inputs(self) -> dict[str, FloatArray]:
@@ -369,6 +374,66 @@ class Track:
         return np.sqrt(self.covariance[:, i, i])
 
     @property
+    def speed(self) -> FloatArray:
+        """Return the speed (n,) of the estimated velocity, m/s; NaN without one."""
+        return np.full(len(self), np.nan) if self.velocity is None else np.hypot(*self.velocity.T)
+
+    @property
+    def heading(self) -> FloatArray:
+        """Return the direction of travel (n,) of the estimated velocity, radians; NaN where there is none."""
+        return np.full(len(self), np.nan) if self.velocity is None else direction(self.velocity)
+
+    @property
+    def speed_std(self) -> FloatArray:
+        """Return half the width (n,) of the interval that contains the speed with 68.3 %, m/s."""
+        if self.velocity is None:
+            return np.full(len(self), np.nan)
+        return speed_std(*self._motion(self.velocity))
+
+    def interval(self, name: str, probability: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """Return the ends (n,) of the interval that contains a quantity; NaN without a covariance.
+
+        Parameters
+        ----------
+        name : one of `STATE`, ``speed`` or ``heading``. Ends of angles are on either side of the angle and
+            may be beyond ±π
+        probability : between 0 and 1
+
+        Returns
+        -------
+        low, high : (n,) metres, m/s or radians
+
+        Raises
+        ------
+        InputError
+            For an unknown quantity, or another probability.
+        """
+        if not 0.0 < probability < 1.0:
+            raise InputError(f"probability {probability!r}", "a number between 0 and 1")
+        if name not in ("speed", "heading"):
+            half: FloatArray = self.std(name) * half_width(probability)
+            value = {"x": self.position[:, 0], "y": self.position[:, 1], "body": self.body, "head": self.head}
+            if self.velocity is not None:
+                value |= {"vx": self.velocity[:, 0], "vy": self.velocity[:, 1]}
+            middle = value.get(name)
+        elif self.velocity is None:
+            middle = None
+        elif name == "speed":
+            return speed_interval(*self._motion(self.velocity), probability)
+        else:
+            middle, half = self.heading, heading_half_width(*self._motion(self.velocity), probability)
+        if middle is None:
+            return np.full(len(self), np.nan), np.full(len(self), np.nan)
+        if name in ("heading", "body", "head"):
+            half = np.minimum(half, np.pi)
+        return middle - half, middle + half
+
+    def _motion(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the velocity (n, 2) and its covariance (n, 2, 2)."""
+        unknown = np.full((len(self), 2, 2), np.nan)
+        return velocity, unknown if self.covariance is None else self.covariance[:, 2:4, 2:4]
+
+    @property
     def axis_std(self) -> FloatArray | None:
         """Return the 1-σ (n,) of each axis of positions, metres: of an ellipse by the mean variance."""
         return of_axes(self.position_std, self.position_covariance)
@@ -462,6 +527,10 @@ class TrackSet:
             raise TrackIndexError(f"tracks[{number}] of {counted(len(self), 'track')}", _PLACE)
         return self.tracks[number]
 
+    def person(self, track_id: int) -> str:
+        """Return a person as the file names it, for messages: ``track 7``, or ``track anna``."""
+        return name_of(track_id, {} if self.as_read is None else self.as_read.names)
+
     def by_id(self, track_id: int) -> Track:
         """Return the track of an id.
 
@@ -475,6 +544,14 @@ class TrackSet:
                 return track
         known = listed(track.track_id for track in self.tracks)
         raise UnknownTrackError(f"no track {track_id!r}", f"one of the ids {known}" if known else "a track")
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Track id → unique name: the file's text identity, else the label if all differ, else the id."""
+        labels = [track.label for track in self.tracks]
+        if (self.as_read is None or not self.as_read.names) and all(labels) and len({*labels}) == len(labels):
+            return {track.track_id: track.label for track in self.tracks}
+        return identity_names([track.track_id for track in self.tracks], self.as_read)
 
     @property
     def n_frames(self) -> int:
@@ -497,16 +574,18 @@ class TrackSet:
             if any(fnmatch.fnmatchcase(track.label, p) or str(track.track_id) == p for p in patterns)
         )
 
-    def to_table(self, *, as_read: bool = False) -> pd.DataFrame:
+    def to_table(self, *, as_read: bool = False, intervals: float | None = None) -> pd.DataFrame:
         """Return a table with a row for each person and frame and the native columns (degrees in ``*_deg``).
 
         Parameters
         ----------
         as_read : use the names and units of the table that was read
+        intervals : probability of the intervals of speed, heading, body and head, whose ends are in
+            ``speed_low``, ``speed_high``, ``heading_deg_low`` and so on; None: without them
         """
         import pandas as pd
 
-        return pd.DataFrame(columns_as_read(self) if as_read else to_columns(self))
+        return pd.DataFrame(columns_as_read(self, intervals) if as_read else to_columns(self, intervals))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
@@ -615,10 +694,15 @@ def _n_known(*channels: np.ndarray | None) -> int:
     return int(np.logical_or.reduce(given).sum()) if given else 0
 
 
-def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
+def to_columns(tracks: TrackSet, intervals: float | None = None) -> dict[str, NDArray[Any]]:
     """Return the columns of all tracks, in the order of `schema.in_order`; missing numbers are NaN.
 
-    The diagonal of a covariance is written, as standard deviations.
+    The diagonal of a covariance is written, as standard deviations. With velocities there are speed and
+    heading.
+
+    Parameters
+    ----------
+    intervals : probability of the intervals to add; see `TrackSet.to_table`
     """
     columns: dict[str, NDArray[Any]] = {
         "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
@@ -633,6 +717,8 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
     for column in COLUMNS:
         if column.part and column.name in columns and np.isnan(columns[column.name]).all():
             del columns[column.name]
+    if any(track.velocity is not None for track in tracks):
+        columns |= _derived_columns(tracks, intervals)
     if any(track.sensor is not None for track in tracks):
         names = [np.full(len(one), "") if one.sensor is None else one.sensor for one in tracks]
         columns["sensor"] = np.concatenate(names).astype(object)
@@ -642,19 +728,62 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def columns_as_read(tracks: TrackSet) -> dict[str, Any]:
-    """Return the columns of all tracks under the names, in the units and the convention of their file."""
+def columns_as_read(tracks: TrackSet, intervals: float | None = None) -> dict[str, Any]:
+    """Return the columns of all tracks under the names, in the units and the convention of their file.
+
+    Parameters
+    ----------
+    intervals : probability of the intervals to add; see `TrackSet.to_table`
+    """
     convention = None if tracks.as_read is None else tracks.as_read.angles
-    if convention is not None:
+    if convention is None:
+        return restored(to_columns(tracks, intervals), tracks.as_read)
 
-        def in_file(track: Track) -> Track:
-            turned = object.__new__(Track)  # angles of valid tracks are valid: checking takes a millisecond
-            angles = converted(vars(track), convention, tracks.camera, back=True)
-            vars(turned).update({**vars(track), **angles})
-            return turned
+    def in_file(track: Track) -> Track:
+        turned = object.__new__(Track)  # angles of valid tracks are valid: checking takes a millisecond
+        angles = converted(vars(track), convention, tracks.camera, back=True)
+        vars(turned).update({**vars(track), **angles})
+        return turned
 
-        tracks = tracks.map(in_file)
-    return restored(to_columns(tracks), tracks.as_read)
+    columns = to_columns(tracks.map(in_file), intervals)
+    if "heading_deg" in columns:
+        columns |= _headings_in_file(tracks, columns, convention)
+    return restored(columns, tracks.as_read)
+
+
+def _headings_in_file(
+    tracks: TrackSet, columns: Mapping[str, NDArray[Any]], convention: AngleConvention
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of the direction of motion, and of its interval, in a convention of angles."""
+    given = [vars(track) | {"head": track.heading} for track in tracks]
+    turned = [converted(_placed(one), convention, tracks.camera, back=True)["head"] for one in given]
+    found = {"heading_deg": np.rad2deg(_joined(turned, np.float64))}
+    low, high = (f"heading_deg_{end}" for end in ENDS)
+    if low in columns:
+        half = 0.5 * (columns[high] - columns[low])
+        found |= {low: found["heading_deg"] - half, high: found["heading_deg"] + half}
+    return found
+
+
+def _placed(channels: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the head of a track's channels, and where it is."""
+    return {name: channels.get(name) for name in ("position", "pixel", "head")}
+
+
+def _derived_columns(tracks: TrackSet, intervals: float | None) -> dict[str, NDArray[Any]]:
+    """Return speed and heading, and with a probability the ends of intervals; no columns of NaN alone."""
+    found = {
+        "speed": _joined([one.speed for one in tracks], np.float64),
+        "speed_std": _joined([one.speed_std for one in tracks], np.float64),
+        "heading_deg": np.rad2deg(_joined([one.heading for one in tracks], np.float64)),
+    }
+    if intervals is not None:
+        for column, name in INTERVALS.items():
+            ends = [one.interval(name, intervals) for one in tracks]
+            for end, parts in zip(ENDS, zip(*ends, strict=True), strict=True):
+                values = _joined(list(parts), np.float64)
+                found[f"{column}_{end}"] = np.rad2deg(values) if column.endswith("_deg") else values
+    return {name: column for name, column in found.items() if not np.isnan(column).all()}
 
 
 def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:

@@ -124,9 +124,9 @@ def bounds_of(name: str) -> Bounds:
     return FINITE if name.startswith(INPUT) else FIELDS[name]
 
 
-def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: Any) -> InputError:
+def out_of_bounds(name: str, value: float, frame: int, person: str, **place: Any) -> InputError:
     """Return the error for a value of an attribute in one frame; ``place`` is its position in a file."""
-    found = f"{name} = {value:g} in frame {frame} of track {track_id}"
+    found = f"{name} = {value:g} in frame {frame} of {person}"
     return InputError(found, f"{bounds_of(name).expected}, or NaN where it is missing", **place)
 
 

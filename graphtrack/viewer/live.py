@@ -51,10 +51,12 @@ class LiveView:
         self._stream: Any = None
         self._reported: OrderedDict[float, dict[int, Row]] = OrderedDict()
         self._held: list[Row] = []
+        self._numbers: dict[str, int] = {}
+        self._names: dict[int, str] = {}
 
     def show(self, answers: Iterable[Row]) -> None:
         """Show some answers; answers to refused rows are skipped."""
-        rows = [row for row in answers if "error" not in row and self._is_ours(row)]
+        rows = [self._numbered(row) for row in answers if "error" not in row and self._is_ours(row)]
         known = [row for row in rows if "status" in row and row.get("x") is not None]
         if known:
             self._open(known)
@@ -86,6 +88,15 @@ class LiveView:
             self._stream = row.get("stream", "")
         return bool(row.get("stream", "") == self._stream)
 
+    def _numbered(self, row: Row) -> Row:
+        """Return a row with a number for an identity that is text, which stays its name."""
+        identity = row.get("track_id")
+        if not isinstance(identity, str):
+            return row
+        number = self._numbers.setdefault(identity, len(self._numbers))
+        self._names[number] = identity
+        return {**row, "track_id": number}
+
     def _open(self, known: list[Row]) -> None:
         if self._to is not None:
             return
@@ -96,7 +107,7 @@ class LiveView:
         arranged = layout(self._extent, self._person, live=True)
         self._to = self._stack.enter_context(recording(self._target, arranged, clock=clock, complete=False))
         self._people = LoggedPeople(
-            self._to, self._extent.size, series=[] if self._person is None else [self._person]
+            self._to, self._extent.size, self._names, [] if self._person is None else [self._person]
         )
         show_ground(self._to, self._extent)
         arrange_groups(self._to)

@@ -46,20 +46,36 @@ PersonHeight = Annotated[
 
 def calibrate(
     source: VideoOrFolder,
-    boxes: options.InputFile,
     output: options.OutputPath,
+    boxes: options.InputFile | None = None,
+    point_pairs: options.InputFile | None = None,
+    frame: Annotated[int | None, typer.Option(min=0)] = None,
     person_height: PersonHeight = 1.7,
     seed: options.Seed = 0,
 ) -> None:
-    """Estimate a camera's view of the ground from the heights of people's boxes.
+    """Estimate a camera's view of the ground from people's boxes or from known points.
 
-    `--calibration` reads the file. Only the size of the frames is used.
+    `--calibration` reads the file. Only the size of the frames is used. Without boxes and points, and with an
+    output that ends in .html, a page is written on which points are clicked.
 
     Parameters
     ----------
     boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with or without identities.
-    output : Calibration to write (.ci).
+    point_pairs : File with rows 'u v X Y': pixels of points on the ground, and X and Y in metres.
+    frame : Number of the frame of the page; by default the first.
+    output : Calibration to write (.ci), or the page to click points on (.html).
     """
+    is_page = output.suffix.lower() == ".html"
+    if is_page or boxes is None:
+        if is_page == (point_pairs is not None) or boxes is not None:
+            given = {"--boxes": boxes, "--point-pairs": point_pairs}
+            named = " and ".join(name for name, path in given.items() if path is not None)
+            expected = "--boxes or --point-pairs, or an output .html without them: a page to click points"
+            raise InputError(f"{named or 'neither'} with -o {output.name}", expected)
+        _calibrate_by_points(source, output, point_pairs, frame)
+        return
+    if point_pairs is not None:
+        raise InputError("--boxes and --point-pairs", "one of them")
     from perception.detection.boxes import read_boxes
     from perception.ground.calibration import found_view
     from perception.images.frames import FrameSource
@@ -74,6 +90,27 @@ def calibrate(
     emit(described(found))
     for note in found.notes:
         emit(f"  note: {note}")
+    emit(f"wrote {output}")
+
+
+def _calibrate_by_points(source: Path, output: Path, pairs: Path | None, frame: int | None) -> None:
+    """Write the page for clicking points, or the calibration of their file."""
+    from perception.ground.point_pairs import view_of_point_pairs, write_page
+    from perception.images.frames import FrameSource
+
+    check_output_paths({"--output": output}, None, source, {"--point-pairs": pairs})
+    frames = FrameSource.open(source)
+    if pairs is None:
+        write_page(output, frames, frame)
+        emit(f"wrote {output}: open it in a browser, click four points or more, save them as pairs.txt")
+        emit(f"then: perception calibrate {source} --point-pairs pairs.txt -o camera.ci")
+        return
+    if frame is not None:
+        raise InputError("--frame with --point-pairs", "a page (.html) as the output")
+    found = view_of_point_pairs(pairs, frames.size())
+    found.write(output)
+    for line in found.described():
+        emit(line)
     emit(f"wrote {output}")
 
 
@@ -188,7 +225,7 @@ def adapt(
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:
         check_output_paths(outputs, None, source, inputs)
-    on_ground = camera.on_ground()
+    on_ground = camera.on_ground(lambda line: emit(f"  note: {line}"))
     if on_ground is None:
         raise InputError(
             "no camera", "--calibration or --homography: directions of travel are measured on the ground"

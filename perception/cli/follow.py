@@ -137,7 +137,8 @@ def follow_target(
     never = {f"--background {p}": p for given in background for p in FrameSource.files(given)}
     check_output_paths({"--output": output}, render, source, {**camera.files, **never})
     frames = FrameSource.open(source)
-    clock, ground = camera.clock(frames), camera.on_ground()
+    clock = camera.clock(frames)
+    ground = camera.on_ground(lambda line: reports.emit(f"  note: {line}"))
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))

@@ -85,14 +85,14 @@ class CameraOptions:
     Camera
     ------
     homography : File with 3×3 numbers: image → ground in metres.
-    calibration : Camera calibration (.ci), also of a fisheye.
     point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
+    calibration : Camera calibration (.ci), also of a fisheye.
     fps : Frames a second; by default the video's, or 25.
     """
 
     homography: options.InputFile | None = None
-    calibration: options.InputFile | None = None
     point_pairs: options.InputFile | None = None
+    calibration: options.InputFile | None = None
     fps: Annotated[float | None, typer.Option(min=0.1)] = None
 
     @property
@@ -100,8 +100,8 @@ class CameraOptions:
         """Return the files to read, by option name."""
         return {
             "--homography": self.homography,
-            "--calibration": self.calibration,
             "--point-pairs": self.point_pairs,
+            "--calibration": self.calibration,
         }
 
     @property

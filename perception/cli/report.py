@@ -55,6 +55,7 @@ def report(
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: PersonHeight = 1.7,
     seed: options.Seed = 0,
+    figures: Annotated[bool, typer.Option("--figures")] = False,
     view: bool = False,
     live: Annotated[bool, typer.Option("--live")] = False,
     record_seconds: Annotated[float | None, typer.Option(min=0.1)] = None,
@@ -72,6 +73,7 @@ def report(
     adapt : Fit the camera's own models of body and head first.
     method : smoother: the graph, offline. particle: the joint particle filter, online; ffbs: the same,
         offline. chain, isam2, fixed-lag: the graph, online.
+    figures : Write the figures of the page, and of up to 12 people, as SVG and PDF into its folder figures.
     view : Show the result in Rerun.
     live : Record a live source into the folder first (recording.mkv), until Ctrl-C or its end.
     record_seconds : With --live: length of the recording.
@@ -94,6 +96,7 @@ def report(
         method=method,
         person_height=person_height,
         seed=seed,
+        figures=figures,
         other_output=showing.save,
         reports=PRINTED,
     )
@@ -147,6 +150,7 @@ def report_folder(
     method: str,
     person_height: float,
     seed: int,
+    figures: bool,
     reports: Reports,
     other_output: Path | None = None,
 ) -> _Run:
@@ -187,7 +191,7 @@ def report_folder(
     run.observe()
     run.estimate(method)
     run.draw()
-    run.write_page(source.name)
+    run.write_page(source.name, figures)
     for line in run.assumed:
         reports.emit(f"  note: {line}")
     names = ", ".join(name for name in FILES.values() if (output / name).is_file())
@@ -421,23 +425,34 @@ class _Run:
 
         self.folder.stage("video", self.clock, ("video",), work)
 
-    def write_page(self, title: str) -> None:
+    def write_page(self, title: str, figures: bool) -> None:
         """Stage 7: the page, the view from above, and the assumptions."""
         from graphtrack.io.atomic import atomic_path
-        from perception.report_folder import write_above, write_page
+        from perception.report_folder import FIGURES, background_of, write_above, write_page
 
         lines = tuple(self.assumed)
 
         def work(key: str) -> list[str]:
             estimates, observations = self.read("tracks"), self.read("observations")
-            write_above(self.folder.file("above"), estimates, observations)
+            heading = f"People in {title}"
+            under = None if self.camera is None else background_of(self.frames, self.camera)
+            write_above(self.folder.file("above"), f"{heading}, from above", estimates, observations, under)
             with atomic_path(self.folder.file("assumptions")) as temporary:
                 temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
             video = self.folder.file("video")
-            write_page(self.folder.file("page"), f"People in {title}", estimates, observations, video, lines)
+            write_page(
+                self.folder.file("page"),
+                heading,
+                estimates,
+                observations,
+                video,
+                lines,
+                under,
+                self.folder.path / FIGURES if figures else None,
+            )
             return []
 
-        self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)
+        self.folder.stage("page", (title, lines, figures), ("above", "assumptions", "page"), work)
 
     def view(self, showing: options.Showing) -> None:
         """Show the result in Rerun."""

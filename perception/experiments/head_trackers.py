@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.experiments.harness import Cell, Progress, Table
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.formats.towncentre import FPS
+from graphtrack.io.formats.mot import DEFAULT_FPS
 from graphtrack.model import Model
 from graphtrack.smoothing import smooth
 from graphtrack.tracks.track import TrackSet
@@ -312,7 +312,7 @@ def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: Ground
     left, top, width, height = box[:_MOST].T
     position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
     step = np.gradient(position, axis=0)
-    if not np.linalg.norm(step, axis=1).mean() * FPS / STEP > WALKING:
+    if not np.linalg.norm(step, axis=1).mean() * DEFAULT_FPS / STEP > WALKING:
         return []
     pan = camera.image_angle(direction(step), position)
     return [WalkingHead(person, frame[:_MOST], head_boxes(box[:_MOST]), pan)]

@@ -28,7 +28,7 @@ from graphtrack.experiments.harness import Row, Table, fit, interval_cells, mode
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import read_calibration
-from graphtrack.io.formats.towncentre import FPS, read_boxes
+from graphtrack.io.formats.mot import DEFAULT_FPS, read_towncentre_boxes
 from graphtrack.io.source import Source
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import withhold
@@ -117,7 +117,7 @@ def labelled_runs(
             raise InputError(
                 "no such file or folder", "Town Centre's pictures, boxes and calibration", path=path
             )
-    frames, rows = FrameSource.open(pictures), read_boxes(Source.open(truth))
+    frames, rows = FrameSource.open(pictures), read_towncentre_boxes(Source.open(truth))
     there = (rows.frame % STEP == 0) & (rows.frame <= (frames.count - 1) * STEP)
     runs: list[tuple[int, NDArray[np.int64], FloatArray]] = []
     for person in np.unique(rows.track_id[there]).tolist():
@@ -145,7 +145,7 @@ def _person(
     camera: GroundCamera,
 ) -> StreetPerson:
     left, top, width, height = box.T
-    t = (frame - 1) * STEP / FPS
+    t = (frame - 1) * STEP / DEFAULT_FPS
     position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
     velocity = np.gradient(position, t, axis=0)
     travel = camera.image_angle(direction(velocity), position)

@@ -12,7 +12,7 @@ from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.forecasting.forecaster import Forecaster, times_ahead
 from graphtrack.forecasting.motion import ForecastParameters
-from graphtrack.streaming.answers import EndedFrames
+from graphtrack.streaming.behaviour import EndedFrames
 from graphtrack.tracking import OnlineTracker
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]

@@ -139,7 +139,7 @@ def test_entries_that_are_missing_moved_or_repeated_are_found(tmp_path, change):
 def test_states_of_earlier_versions_and_other_files_are_refused(tmp_path):
     path = tmp_path / "state"
     path.write_bytes(b"graphtrack-state 0005 00000000000000000076 " + b"0" * 32 + b"\n")
-    with pytest.raises(InputError, match=r"a state of version 5, expected version 9; without the file"):
+    with pytest.raises(InputError, match=r"a state of version 5, expected version 10; without the file"):
         StateFile(path, HOUR)
     assert remove(path)
     for content_of in (b"", b"\n", b"{}\n", b'{"version": 2, "rows": 1}', b"\x00\xff\n", b"0" * 40):
@@ -258,8 +258,9 @@ def test_kills_at_any_moment_lose_no_row(tmp_path):
             time.sleep(wait)
             process.kill()
             printed = int((process.stdout.read().split(b"\n")[:-1] or [printed])[-1])
-        header, *rest = content(path) or [0]
-        members, rows = (rest[:3], rest[3:]) if path.exists() and header else ([], rest)
+        stored = content(path)
+        header, *rest = stored or [0]
+        members, rows = (rest[:3], rest[3:]) if stored else ([], rest)
         if rows or members:
             assert members == [[k, header + k] for k in range(3)] or header == 0
             assert rows == list(range(header + 1, header + 1 + len(rows)))

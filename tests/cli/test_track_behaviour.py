@@ -11,7 +11,8 @@ from command import Done, run
 import graphtrack as gt
 from graphtrack.interaction.people import Place
 from graphtrack.model import Model
-from graphtrack.streaming.answers import Asked, Scenes, TrackAnswers
+from graphtrack.streaming.answers import Scenes, TrackAnswers
+from graphtrack.streaming.behaviour import Asked
 from graphtrack.streaming.session import Answers
 from graphtrack.tracking import OnlineTracker
 

@@ -67,7 +67,7 @@ WRONG = {
     "a column that is not there": "smooth tracks.csv -o out.csv --columns id=nobody",
     "a place of no kind": "info nonsense://tracks.csv",
     "columns of what is streamed": "smooth tracks.csv -o out.parquet --stream --columns id=track_id",
-    "a suggestion and what it is to suggest": "info tracks.csv --suggest --units cm",
+    "a suggestion and what it is to suggest": "info tracks.csv --suggest --columns id=track_id",
     "truth with columns that it has not": "score tracks.csv --truth tracks.csv --columns id=nobody",
     "names that a row alone cannot have": "track - --columns x=*_x",
     "places in degrees of a stream": "track - --columns lat=a,lon=b",

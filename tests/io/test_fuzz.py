@@ -27,7 +27,7 @@ from mutations import mutate
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
-from graphtrack.io.formats.mot import read_coco
+from graphtrack.io.formats.boxes import read_coco
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from perception.models import load_classifier, model_path

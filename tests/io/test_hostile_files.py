@@ -126,7 +126,12 @@ def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:
 def test_lists_and_workbooks_are_told_what_they_are(tmp_path: Path) -> None:
     for name in ("a.json", "a.txt"):
         (tmp_path / name).write_text('[{"track_id": 1, "frame": 0, "t": 0, "x": 0, "y": 0}]')
-        assert "found a JSON list, expected one JSON object a line" in str(refused(tmp_path / name))
+        assert gt.read(tmp_path / name).n_frames == 1
+        (tmp_path / name).write_text('[{"track_id": 1}, 2]')
+        assert "expected a list of objects" in str(refused(tmp_path / name))
+    keys = ",".join(f'{{"k{k}": 1}}' for k in range(6000))  # each row has all keys of the table
+    (tmp_path / "a.json").write_text(f"[{keys}]")
+    assert "rows with one of 6000 keys" in str(refused(tmp_path / "a.json"))
     for name in ("a.xlsx", "a.csv"):
         with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("xl/workbook.xml", "<workbook/>" * 99)

@@ -258,6 +258,13 @@ def test_detections_without_ids_are_associated() -> None:
         gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01, associate="never")
 
 
+def test_boxes_of_frames_without_ids_are_refused_where_others_have_some() -> None:
+    found = [detections(frame, ids=frame not in (0, 7)) for frame in range(FRAMES)]
+    tracks = gt.from_supervision(found, fps=4.0, metres_per_pixel=0.01)
+    assert_walks(tracks, [frame for frame in range(FRAMES) if frame not in (0, 7)])
+    assert tracks.summary.refused == {"of another class": FRAMES, "not followed by the tracker (id −1)": 4}
+
+
 def test_what_the_package_trackers_gives_is_taken() -> None:
     supervision = pytest.importorskip("supervision", reason="the extra peers has it")
     trackers = pytest.importorskip("trackers", reason="see the extra peers")
@@ -273,7 +280,6 @@ def test_what_the_package_trackers_gives_is_taken() -> None:
     [
         (detections(0), "a list of them"),
         ([], "no people in 0 frames"),
-        ([detections(0), detections(1, ids=False)], "no ids in frame 1"),
         ([SimpleNamespace(boxes=None)], "without xyxy"),
     ],
 )

@@ -127,9 +127,9 @@ def here(cwd: Path) -> Path:
     return cwd
 
 
-def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TrackSet, str]:
+def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch, *more: object) -> tuple[TrackSet, str]:
     """The tracks that the suggested line reads, run as it was printed, and the line."""
-    done = command.ran("info", path, "--suggest", program="graphtrack")
+    done = command.ran("info", path, "--suggest", *more, program="graphtrack")
     (line,) = done.stdout.splitlines()
     read: list[TrackSet] = []
     tracks_of = MetricReading.tracks
@@ -186,7 +186,7 @@ def test_what_cannot_be_read_is_told_with_what_is_missing(here: Path) -> None:
     for look in (io.read_identified, suggest):
         with pytest.raises(InputError, match="GeoPackage"):
             look(here / "people.gpkg")
-    done = command.run("info", "table.csv", "--suggest", "--fps", 5, program="graphtrack")
+    done = command.run("info", "table.csv", "--suggest", "--select", 5, program="graphtrack")
     assert done.returncode == 2 and "--suggest" in done.stderr
 
 
@@ -237,3 +237,94 @@ def test_a_line_before_the_header_and_a_decimal_comma_are_named(tmp_path: Path) 
     path.write_text('track_id,frame,t,x,y\n7,0,"0,5",1,2\n')
     error = refused(path)
     assert "decimal point" in error.expected and (error.line, error.column) == (2, "t")
+
+
+PIXELS = {
+    "px and py": table(**PLAIN | {"x": "px", "y": "py"}),
+    "pixels in the unit": table(**PLAIN | {"x": "x [px]", "y": "y [px]"}),
+    "image_x": table(**PLAIN | {"x": "image_x", "y": "image_y"}),
+}
+
+
+@pytest.mark.parametrize("frame", PIXELS.values(), ids=PIXELS)
+def test_names_that_say_pixels_ask_for_a_camera(
+    frame: pd.DataFrame, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame.iloc[:, -2:] *= 100.0  # in centimetres the speeds would be those of people
+    frame.to_csv("walks.csv", index=False)
+    done = command.run("info", "walks.csv", "--suggest", program="graphtrack")
+    assert done.returncode == 2 and "--metres-per-pixel" in done.stderr and not done.stdout
+    tracks, line = run_suggested(here / "walks.csv", monkeypatch, "--metres-per-pixel", 0.01)
+    assert "u=" in line and "--units" not in line and "--metres-per-pixel 0.01" in line
+    for track, (x, y) in zip(tracks, PEOPLE.values(), strict=True):
+        np.testing.assert_allclose(track.position, np.column_stack([x, -y]), atol=1e-5)
+
+
+def boxed(**names: str) -> pd.DataFrame:
+    frame = table(t=None).drop(columns=["x", "y"])
+    left = np.concatenate([100.0 + 2.0 * np.arange(STEPS), 400.0 - 2.0 * np.arange(STEPS)])
+    columns = {
+        "left": left,
+        "top": 200.0,
+        "right": left + 40.0,
+        "bottom": 300.0,
+        "width": 40.0,
+        "height": 100.0,
+    }
+    columns |= {"center_x": left + 20.0, "center_y": 250.0, "head": 0.5, "kind": "Pedestrian"}
+    for key, name in names.items():
+        frame[name] = columns[key]
+    return frame
+
+
+BOXED = {
+    "corners": boxed(left="x1", top="y1", right="x2", bottom="y2"),
+    "sizes": boxed(left="left", top="top", width="width", height="height"),
+    "centres": boxed(center_x="xCenter", center_y="yCenter", width="width", height="height"),
+    "odd ids": boxed(left="x1", top="y1", right="x2", bottom="y2").rename(columns={"track_id": "obj"}),
+}
+
+
+@pytest.mark.parametrize("frame", BOXED.values(), ids=BOXED)
+@pytest.mark.parametrize("header", [True, False])
+def test_boxes_are_no_people_and_no_metres(
+    frame: pd.DataFrame, header: bool, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not header and "x1" not in frame:
+        pytest.skip("only corners are known by their numbers")
+    frame.to_csv("boxes.csv", index=False, header=header)
+    tracks, line = run_suggested(here / "boxes.csv", monkeypatch, "--metres-per-pixel", 0.01)
+    assert "*" not in line and "--units" not in line and len(tracks) == 2
+    for track, left in zip(tracks, (100.0, 400.0), strict=True):
+        np.testing.assert_allclose(track.position[0], [0.01 * (left + 20.0), -3.0])
+
+
+def test_angles_by_name_and_range(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for values, key in ((90.0, "head_deg"), (1.5, "head_rad")):
+        table(id="obj").assign(head_angle=values).to_csv("walks.csv", index=False)
+        tracks, line = run_suggested(here / "walks.csv", monkeypatch)
+        assert f"{key}=head_angle" in line and tracks[0].head is not None
+        assert tracks[0].head[0] == pytest.approx(np.deg2rad(values) if key == "head_deg" else values)
+
+
+@pytest.mark.parametrize("mark", ["\t", " ", ","])
+@pytest.mark.parametrize("order", [("frame", "track_id", "x", "y"), ("track_id", "frame", "x", "y")])
+def test_tables_without_a_header_get_numbers(
+    order: tuple[str, ...], mark: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = table(t=None)[list(order)]
+    frame["frame"] = 10 * frame["frame"] + 780
+    frame.sort_values("frame").astype(float).to_csv("walks.txt", sep=mark, index=False, header=False)
+    done = command.run("info", "walks.txt", program="graphtrack")
+    assert done.returncode == 2 and "--suggest" in done.stderr and "--delimiter" not in done.stderr
+    tracks, line = run_suggested(here / "walks.txt", monkeypatch)
+    assert f"frame={order.index('frame') + 1},id={order.index('track_id') + 1},x=3,y=4" in line
+    assert [track.track_id for track in tracks] == [7, 12]
+    np.testing.assert_allclose(tracks[0].position[:, 0], PEOPLE["7"][0])
+
+
+def test_a_comment_that_names_the_columns_is_their_order(here: Path) -> None:
+    frame = table(t=None)[["frame", "track_id", "x", "y"]]
+    (here / "walks.txt").write_text("# frame ped x y\n" + frame.to_csv(sep=" ", index=False, header=False))
+    tracks = io.read_identified(here / "walks.txt", fps=10, units="m")
+    assert [track.track_id for track in tracks] == [7, 12] and suggest(here / "walks.txt").options

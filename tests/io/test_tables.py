@@ -281,7 +281,8 @@ PLACES = {
     "a latitude that is none": ({}, "1,148,11", "148"),
     "metres for degrees": ({}, "1,5331000,691000", "--crs"),
     "nothing but gaps": ({}, "1,,", "no place"),
-    "not a number": ({}, "1,nan,11", "'nan'"),
+    "not a number": ({}, "1,inf,11", "'inf'"),
+    "a word for half a place": ({}, "1,nan,11", "empty cell"),
     "two units": ({"crs": "EPSG:4326", "units": "cm"}, "1,48,11", "units"),
 }
 
@@ -358,3 +359,76 @@ def test_two_names_of_one_column_are_an_error(tmp_path):
 def test_pixels_are_never_taken_for_metres():
     options, notes = with_synonyms(["frame", "track_id", "u", "v", "pos_x", "pos_y"], ReadOptions())
     assert options.columns is None and not notes
+
+
+FOREIGN = {"label": ["car", "van"], "observed": [True, False], "score": ["a", "b"], "vx": [1e300, 2.0]}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("name", FOREIGN)
+def test_columns_of_common_names_are_read_only_if_they_are_named(tmp_path, name, suffix):
+    names = {"track_id": "agent", "frame": "frame", "t": "t", "x": "px", "y": "py"}
+    table = [row | {name: FOREIGN[name][row["frame"] % 2]} for row in rows(names)]
+    path = written(table, tmp_path / f"a{suffix}")
+    tracks = gt.read(path, columns="id=agent,x=px,y=py")
+    is_read(tracks)
+    assert all(track.label == "" and track.score is None and track.velocity is None for track in tracks)
+    assert any(f"columns {name} were not read" in note for note in tracks.summary.notes)
+    good = [row | {"score": 0.5, "label": f"P{row['agent']}"} for row in rows(names)]
+    tracks = gt.read(written(good, path), columns="id=agent,x=px,y=py,score=score")
+    assert all((track.score == 0.5).all() and track.label == "" for track in tracks)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "ndjson"])
+@pytest.mark.parametrize("text", [False, True])
+def test_what_was_read_by_numbers_reads_back_with_the_same_options(tmp_path, ending, text):
+    table = frame(scale=100.0).assign(agent=["P1"] * 4 + ["P2"] * 4 if text else [7] * 4 + [9] * 4)
+    table.assign(head=0.1).to_csv(tmp_path / "a.txt", index=False, header=False)
+    options = {"columns": "id=1,t=2,x=3,y=4,head_rad=5", "units": "cm"}
+    tracks = gt.read(tmp_path / "a.txt", **options)
+    smoothed = gt.smooth(tracks, "position")
+    out = tmp_path / f"b.{ending}"
+    for one in (tracks, smoothed):
+        gt.write(one, out)
+        again = gt.read(out, **options)
+        assert [track.label for track in again] == (["P1", "P2"] if text else ["", ""])
+        for before, after in zip(one, again, strict=True):
+            np.testing.assert_allclose(after.position, before.position, atol=1e-12)
+            np.testing.assert_array_equal(after.t, before.t)
+            assert (before.head is None) == (after.head is None)
+    assert again.by_id(1 if text else 7).velocity is not None
+
+
+@pytest.mark.parametrize("repeats", [1, 3000])  # pyarrow reads large files
+def test_text_identities_and_words_for_empty_cells_under_native_names(tmp_path, repeats):
+    words = ["NA", "NaN", "null", "nan", "None", ""]
+    lines = ["track_id,frame,t,x,y,head_deg,label"]
+    for k in range(6 * repeats):
+        lines += [f"P{who},{k},{k / 10},{who},{k},{words[k % 6] if who else 20},NA" for who in (0, 1)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    tracks = gt.read(tmp_path / "a.csv")
+    assert [track.track_id for track in tracks] == [1, 2]
+    assert all(track.label == "NA" for track in tracks)  # a word of its own in a column of text
+    assert tracks.by_id(2).head is None and np.isfinite(tracks.by_id(1).head).all()
+    gt.write(tracks, tmp_path / "b.csv")
+    assert (tmp_path / "b.csv").read_text().splitlines()[1].startswith('"P0",0,')
+    names = {name: name for name in ("track_id", "frame", "t", "x", "y")}
+    error = refused(written([*rows(names)[:5], rows(names)[6] | {"track_id": "P7"}], tmp_path / "c.csv"))
+    assert error.line == 7 and "--columns id=track_id" in error.expected  # a mistake among numbers
+
+
+def test_errors_name_people_as_the_file_does(tmp_path):
+    (tmp_path / "a.csv").write_text("track_id,frame,t,x,y\nanna,0,0,0,0\nanna,1,1,0,0\nanna,1,2,0,0\n")
+    assert refused(tmp_path / "a.csv").found == "track anna again in frame 1"
+    (tmp_path / "a.csv").write_text("track_id,frame,t,x,y,label\nbob,0,0,0,0,a\nbob,1,1,0,0,b\n")
+    assert "one label for track bob" in refused(tmp_path / "a.csv").expected
+    (tmp_path / "a.csv").write_text("track_id,frame,t,x,y\nbob,0,0,0,0\nbob,1,0,0,0\n")
+    assert "of track bob" in refused(tmp_path / "a.csv").found
+
+
+def test_whole_numbers_with_a_point_are_numbers(tmp_path):
+    (tmp_path / "a.csv").write_text("who,t,x,y\n1.0,0,0,0\n1.0,1,0,0\n20.,0,0,0\nNA,5,0,0\n")
+    error = refused(tmp_path / "a.csv", columns="id=who")
+    assert error.line == 5 and error.found == "an empty cell"
+    (tmp_path / "a.csv").write_text("who,t,x,y\n1.0,0,0,0\n1.0,1,0,0\n20.,0,0,0\n")
+    assert [track.track_id for track in gt.read(tmp_path / "a.csv", columns="id=who")] == [1, 20]

@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from perception.drawing.overlays import LIGHT, Likelihoods, person_colour
 from perception.drawing.people import DrawnPerson, draw, draw_people
+from perception.images import pixels
 from perception.images.pixels import check_render, pictures
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
@@ -81,7 +82,7 @@ def test_pictures_of_a_video_have_one_size_whatever_is_drawn(estimate: BoxEstima
     assert len(shapes) == 1
 
 
-@pytest.mark.parametrize("name", ["film.mp4", "film.avi"])
+@pytest.mark.parametrize("name", ["film.mp4", "film.avi", "film.webm"])
 def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
     with pictures(tmp_path / name, 10.0) as write:
         for k in range(7):
@@ -94,6 +95,27 @@ def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEst
     expected = draw(blob_image(CENTRE), 0, estimate)
     assert images[0].shape == expected.shape
     assert np.abs(images[0].astype(float) - expected).mean() < 8.0
+
+
+@pytest.mark.parametrize("encoder", [True, False])
+def test_a_report_has_a_video_that_browsers_play(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoder: bool
+) -> None:
+    if encoder:
+        pytest.importorskip("av")
+    monkeypatch.setattr(pixels, "has_h264", lambda: encoder)
+    suffix = pixels.browser_suffix()
+    assert suffix == (".mp4" if encoder else ".webm")
+    with pictures(tmp_path / f"film{suffix}", 12.5) as write:
+        for k in range(4):
+            write(k, np.full((75, 101, 3), 60 * k, np.uint8))  # H.264 needs even sizes
+    video = cv2.VideoCapture(str(tmp_path / f"film{suffix}"))
+    code = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode()
+    assert code in (("avc1", "h264") if encoder else ("VP80",))
+    levels = []
+    while (read := video.read())[0]:
+        levels.append(read[1].mean())
+    assert levels == pytest.approx([0, 60, 120, 180], abs=4)
 
 
 def test_a_folder_has_an_image_for_each_frame_by_its_number(tmp_path: Path, estimate: BoxEstimate) -> None:
@@ -148,7 +170,7 @@ def test_a_video_that_could_not_be_written_whole_is_an_error(
 def test_places_that_cannot_be_are_refused(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.txt").write_text("")
-    for path in (tmp_path / "film.webm", tmp_path / "no" / "film.mp4", tmp_path / "full"):
+    for path in (tmp_path / "film.mov", tmp_path / "no" / "film.mp4", tmp_path / "full"):
         with pytest.raises(InputError):
             check_render(path)
 

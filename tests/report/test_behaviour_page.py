@@ -98,7 +98,7 @@ def test_sections_say_what_was_given(report):
     dwell = table(report, "Dwell times")
     assert {(row["place"], row["seconds"]) for row in dwell} == {("bar", 1.6)}  # 8 s, 0.2 of them
     looks = {row["person"]: row for row in table(report, "Gaze of each person")}
-    assert looks[1]["looks most at"] == "2" and looks[1]["for (s)"] == pytest.approx(4.8)
+    assert looks["1"]["looks most at"] == "2" and looks["1"]["for (s)"] == pytest.approx(4.8)
     # They stand, and were forecast to go: the error is how far.
     for row in table(report, "Forecasts by time"):
         assert row["error (m)"] == pytest.approx(row["ahead (s)"]) and row["inside 90 % (%)"] == 0.0
@@ -112,7 +112,7 @@ def test_probable_looks_at_a_place_are_intervals(tracks):
     share[5:10, len(first.people)] = 1.0
     found[0] = replace(first, probability=share)
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, attention=found, places=[BAR]))
-    (row,) = [row for row in table(report, "Dwell times") if row["person"] == 1]
+    (row,) = [row for row in table(report, "Dwell times") if row["person"] == "1"]
     assert row["looks"] == 1 and row["likelier than not (s)"] == "1.8–3.8"
 
 

@@ -100,10 +100,10 @@ def test_the_page_says_what_it_leaves_out():
 
 
 def test_hostile_words_stay_words():
-    track = walker(1, label=HOSTILE)
+    tracks = [walker(i, label=HOSTILE) for i in (1, 2)]
     report = tracking_report(
-        TrackSet((track,)),
-        TrackSet((observed(track),), summary=ReadSummary("csv", 3, {HOSTILE: 1}, (HOSTILE,))),
+        TrackSet(tuple(tracks)),
+        TrackSet(tuple(map(observed, tracks)), summary=ReadSummary("csv", 3, {HOSTILE: 1}, (HOSTILE,))),
         title=HOSTILE,
         subtitle=HOSTILE,
         comparison=[{**row, "method": HOSTILE, "unit": HOSTILE} for row in ERRORS],
@@ -153,11 +153,14 @@ def test_the_table_of_people_holds_their_errors():
     estimates, observations = scene(people=2)
     report = tracking_report(estimates, observations)
     (section,) = [s for s in report.sections if s.title == "People"]
-    (table,) = section.items
+    table, motion = section.items
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert row["position RMSE (m)"] == pytest.approx(np.hypot(0.05, 0.05))
     assert row["head error (°)"] == pytest.approx(0.0, abs=1e-9)
     assert row["observed (%)"] == pytest.approx(75.0)
+    row = dict(zip(motion.columns, motion.rows[0], strict=True))
+    assert row["95 % from"] <= row["median speed (m/s)"] <= row["to"]
+    assert row["frames with a heading (%)"] == 100.0 and 0.0 < row["heading ± 95 % (°)"] < 90.0
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

@@ -105,7 +105,7 @@ def test_events_stand_at_the_time_of_the_track_that_has_the_person_now():
     report = tracking_report(TrackSet((first, second)), events=events)
     assert report.replay["events"] == [[1.6, "70", "1", "2", 1, 0], [2.8, "70", "2", "2", 0, 1]]
     rows = table(report, "Switches and fragmentations").rows
-    assert rows == ((2, 1.6, 70, 1, True, False), (2, 2.8, 70, 2, False, True))
+    assert rows == (("2", 1.6, 70, "1", True, False), ("2", 2.8, 70, "2", False, True))
     assert [row[-1] for row in table(report, "Births and deaths").rows] == [1, 1]
 
 

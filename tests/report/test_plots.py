@@ -220,11 +220,15 @@ def test_people_are_told_apart_by_colour_and_dashes():
     assert len(paths) == CROWD and len(looks) == 24
 
 
-def test_of_a_crowd_only_paths_are_drawn():
+def test_of_a_crowd_paths_are_drawn_with_names_where_there_is_room():
     few, crowd = plot_tracks(walkers_along(CROWD, 1.0)), plot_tracks(walkers_along(CROWD + 1, 1.0))
     assert len(few.axes[0].texts) == CROWD and few.axes[0].collections
     assert len(crowd.axes[0].lines) == CROWD + 1
-    assert not crowd.axes[0].texts and not crowd.axes[0].collections
+    assert not crowd.axes[0].collections
+    named = {text.get_text() for text in crowd.axes[0].texts}
+    assert 0 < len(named) <= CROWD + 1
+    dense = plot_tracks(walkers_along(CROWD + 1, 100.0))
+    assert len(dense.axes[0].texts) < CROWD
 
 
 angle_lists = st.lists(st.one_of(st.floats(-3.14, 3.14), st.just(float("nan"))), min_size=1, max_size=30)
@@ -324,11 +328,11 @@ def test_the_timeline_of_looks_spans_the_recording() -> None:
         late = np.abs(np.arange(len(one.t)) - 20) > 2
         one.probability[late] = 0.0
         one.probability[late, -1] = 1.0
-    low, high = plot_look_timeline(found).axes[0].get_xlim()
+    low, high = plot_look_timeline(found, tracks.names).axes[0].get_xlim()
     assert low <= 0.0 and high >= tracks.by_id(1).t[-1] and high - low < 1.1 * tracks.by_id(1).t[-1] + 1.0
 
 
 def test_the_timeline_of_groups_spans_the_recording() -> None:
     found = groups(pair())
-    low, high = plot_group_timeline(found, ()).axes[0].get_xlim()
+    low, high = plot_group_timeline(found, (), {}).axes[0].get_xlim()
     assert (low, high) == (found.t.min(), found.t.max())

@@ -66,13 +66,16 @@ PEOPLE = [
     {"id": "2", "label": ""},
     {"id": "12", "label": "left Hall"},
     {"id": "120", "label": "right hall"},
+    {"id": "P05", "label": "", "number": "7"},
 ]
 
 
 def test_people_are_found_by_whole_ids_and_parts_of_labels():
     found = {
-        "": [0, 1, 2, 3],
-        "  ,": [0, 1, 2, 3],
+        "": [0, 1, 2, 3, 4],
+        "  ,": [0, 1, 2, 3, 4],
+        "p05": [4],
+        "7": [4],
         "12": [2],
         "1, 2": [0, 1],
         "HALL": [2, 3],
@@ -81,7 +84,7 @@ def test_people_are_found_by_whole_ids_and_parts_of_labels():
         "nobody": [],
     }
     code = f"""const people = {json.dumps(PEOPLE)};
-    people.forEach((p) => {{ p.name = p.id + (p.label ? " " + p.label : ""); }});
+    people.forEach((p) => {{ p.name = p.id + (p.label ? " " + p.label : ""); p.number = p.number || p.id; }});
     const found = {json.dumps(list(found))}.map((words) => [words, findPeople(people, words)]);
     return Object.fromEntries(found);"""
     assert in_node(("people.js",), code) == found

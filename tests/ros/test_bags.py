@@ -253,15 +253,6 @@ def test_detections_of_one_fast_sensor_stay_apart(tmp_path):
     assert len(track) == 100
 
 
-def test_recordings_of_ros_1_are_named(tmp_path):
-    old = tmp_path / "old.bag"
-    old.write_bytes(b"#ROSBAG V2.0\n" + bytes(range(256)))
-    with pytest.raises(gt.InputError, match=r"ROS 1.*rosbags-convert"):
-        gt.read(old)
-    with pytest.raises(gt.InputError, match="text"):
-        gt.read(old.replace(tmp_path / "old.csv"))
-
-
 def turning_robot(rate=0.5, speed=1.0, static=0.3):
     """tf of a robot that drives along x of odom and turns, its laser 0.2 m before it, and odom in map."""
     moving = [

@@ -44,7 +44,7 @@ class FakeNode:
 
     def __init__(self, name):
         self.name, self.said = name, []
-        self.subscribed, self.published = {}, {}
+        self.subscribed, self.published, self.profiles = {}, {}, {}
         self._publishers = ["rclpy's own"]
         self._seconds = itertools.count()
 
@@ -54,8 +54,8 @@ class FakeNode:
     def get_parameter(self, name):
         return types.SimpleNamespace(value=self.parameters[name])
 
-    def create_subscription(self, kind, topic, callback, depth):
-        self.subscribed[topic] = (kind.__msgtype__, callback)
+    def create_subscription(self, kind, topic, callback, profile):
+        self.subscribed[topic], self.profiles[topic] = (kind.__msgtype__, callback), profile
 
     def create_publisher(self, kind, topic, depth):
         told = self.published.setdefault(topic, [])
@@ -96,7 +96,9 @@ def node_of(monkeypatch):
         "rclpy": types.SimpleNamespace(init=lambda: None, spin=lambda node: None, try_shutdown=lambda: None),
         "rclpy.node": types.SimpleNamespace(Node=FakeNode),
         "rclpy.qos": types.SimpleNamespace(
-            DurabilityPolicy=types.SimpleNamespace(TRANSIENT_LOCAL=1), QoSProfile=lambda **given: given
+            DurabilityPolicy=types.SimpleNamespace(TRANSIENT_LOCAL=1),
+            ReliabilityPolicy=types.SimpleNamespace(BEST_EFFORT="best effort", RELIABLE="reliable"),
+            QoSProfile=lambda **given: given,
         ),
         "rosidl_runtime_py": types.SimpleNamespace(),
         "rosidl_runtime_py.utilities": types.SimpleNamespace(get_message=message_class),
@@ -129,6 +131,28 @@ def test_people_in_and_people_out(node_of):
     # A package of messages that is missing costs its topic alone.
     assert "/graphtrack/markers" not in node.published
     assert len(node.said) == 1 and "visualization_msgs" in node.said[0]
+
+
+def test_subscriptions_match_publishers_of_either_reliability_unless_asked(node_of):
+    assert node_of().profiles["/people"] == {"depth": 10, "reliability": "best effort"}
+    assert node_of(reliability="reliable").profiles["/people"]["reliability"] == "reliable"
+    for wrong in ({"reliability": "best"}, {"topic": "/a,/b,/c", "type": f"{PEOPLE},{POSES}"}):
+        with pytest.raises(ValueError, match=r"reliability best|one for each of 3"):
+            node_of(**wrong)
+
+
+def test_topics_of_different_types_are_sensors_of_one_scene(node_of):
+    node = node_of(topic="/laser, /camera", type=f"{PEOPLE}, {DETECTIONS}", fixed_frame="map")
+    assert [node.subscribed[topic][0] for topic in ("/laser", "/camera")] == [PEOPLE, DETECTIONS]
+    spread = covariance(0.01, 0.01, 0.1)
+    for k in range(10):
+        t = 0.1 * k
+        node.subscribed["/laser"][1](people(t, [person("anna", t, 0.0)]))
+        node.subscribed["/camera"][1](detections(t, [detection("anna", t, 0.0, 0.0, spread)]))
+        node.subscribed["/camera"][1](detections(t + 0.05, [detection("ben", 3.0, 1.0, 0.0, spread)]))
+    told = node.published["/graphtrack/people"]
+    assert {one.name for one in told[-1].people} == {"anna", "ben"}
+    assert all("Error" not in text for text in node.said)
 
 
 def test_what_the_node_says_of_a_bag_is_what_tracking_it_says(node_of, tmp_path):

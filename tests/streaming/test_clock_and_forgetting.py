@@ -1,7 +1,6 @@
 """Clocks that jump, and what streams keep while people, streams and time come and go."""
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,54 +9,18 @@ import pytest
 from command import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rows_of_streams import Row, each, flat, resumed, stream, walkers
 from selection import others_slow
 
 import graphtrack as gt
 from graphtrack.forecasting import paths
 from graphtrack.interaction.people import Place
 from graphtrack.io.formats.ndjson import NOT_USED
-from graphtrack.model import Model
 from graphtrack.streaming import answers as of_streams
-from graphtrack.streaming.answers import Asked, StreamBounds, TrackAnswers
-from graphtrack.streaming.protocol import Answering
-from graphtrack.streaming.saved_state import Saving, StateFile
-from graphtrack.streaming.session import Answers
+from graphtrack.streaming.answers import StreamBounds, TrackAnswers
+from graphtrack.streaming.behaviour import Asked
 
-POSITION = Model("position")
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
-Row = dict[str, Any]
-
-
-def settings_of(**more: Any) -> Answers:
-    return Answers(POSITION, lag=1.0, **more)
-
-
-def stream(identified: bool, notes: list[str] | None = None, **more: Any) -> Answering:
-    found = settings_of(**more)
-    told = [].append if notes is None else notes.append
-    return found.people(told) if identified else found.scenes(told)
-
-
-def walkers(n: int, identified: bool, *, start: float = 0.0, step: float = 0.1) -> list[Row]:
-    """Rows of two people who walk apart."""
-    rng = np.random.default_rng(3)
-    rows: list[Row] = []
-    for k in range(n):
-        for i in range(2):
-            x, y = np.add((0.1 * k, 4.0 * i), rng.normal(0.0, 0.02, 2)).tolist()
-            of_person = {"track_id": i} if identified else {}
-            rows.append({**of_person, "frame": k, "t": start + step * k, "x": x, "y": y})
-    return rows
-
-
-def each(people: Answering, rows: Iterable[Row]) -> list[list[Row]]:
-    """Return the answers to each row."""
-    return [people.answers(number, json.dumps(row).encode()) for number, row in enumerate(rows, 1)]
-
-
-def flat(found: Iterable[list[Row]]) -> list[Row]:
-    return [row for answers in found for row in answers]
-
 
 kinds = pytest.mark.parametrize("identified", [True, False], ids=["identities", "detections"])
 far = st.floats(60.001, 1e10) | st.sampled_from([1e10, 3600.0, 86_400.0])
@@ -148,23 +111,6 @@ def test_a_jump_and_its_witness_may_be_in_two_runs(identified: bool, stop: int, 
     rows = [*walkers(10, identified, start=500.0), *walkers(10, identified)]
     whole = flat(each(stream(identified), rows))
     assert resumed(identified, rows, [stop], tmp_path) == whole
-
-
-def resumed(identified: bool, rows: list[Row], stops: list[int], folder: Path, **more: Any) -> list[Row]:
-    """Return the answers of a stream that is saved and resumed before some rows."""
-    chosen, found, path = settings_of(**more), [], folder / "state"
-    restore = chosen.restored_person if identified else chosen.restored_scene
-    for begin, end in zip([0, *stops], [*stops, len(rows)], strict=True):
-        people, file = stream(identified, **more), StateFile(path, 3600.0)
-        saving = Saving(file, people, chosen.settings(), 3600.0)
-        assert saving.resume(restore) == [] if begin else saving.begin() is None
-        for number, row in enumerate(rows[begin:end], begin + 1):
-            line = json.dumps(row).encode()
-            saving.take([(number, line)])
-            found += people.answers(number, line)
-        saving.finish()
-        file.close()
-    return found
 
 
 # -- forgetting ----------------------------------------------------------------------------------------------

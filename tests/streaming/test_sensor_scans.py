@@ -11,7 +11,8 @@ import graphtrack as gt
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.model import Observation
 from graphtrack.streaming import answers as streaming
-from graphtrack.streaming.answers import Asked, DetectionStream, Scenes, TrackAnswers
+from graphtrack.streaming.answers import DetectionStream, Scenes, TrackAnswers
+from graphtrack.streaming.behaviour import Asked
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.scene import SceneParameters
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import io
 from collections.abc import Collection, Iterator
 from dataclasses import replace
@@ -15,7 +16,7 @@ _FORMATS = {"ros2msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"}  # encoding of 
 
 
 def unpacked(data: bytes, compression: str, limit: MemoryLimit) -> bytes:
-    """Return the content of a chunk, message or file, packed by zstd or lz4 or not at all.
+    """Return the content of a chunk, message or file, packed by zstd, lz4 or bz2 or not at all.
 
     The sizes that its headers declare are not relied on.
 
@@ -34,6 +35,9 @@ def unpacked(data: bytes, compression: str, limit: MemoryLimit) -> bytes:
         return limit.read(stream, "unpacked content")
     if compression == "lz4":
         with lz4.frame.open(io.BytesIO(data)) as unpacking:
+            return limit.read(unpacking, "unpacked content")
+    if compression == "bz2":
+        with bz2.open(io.BytesIO(data)) as unpacking:
             return limit.read(unpacking, "unpacked content")
     raise ValueError(f"chunks packed by {compression!r}")
 

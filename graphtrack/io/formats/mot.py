@@ -1,39 +1,43 @@
-"""Detector formats: MOTChallenge text ``frame,id,left,top,width,height,confidence,x,y,z``, and COCO's JSON.
+"""MOTChallenge text ``frame,id,left,top,width,height,confidence,x,y,z``, and Oxford Town Centre's boxes.
 
 Frames of MOT text are numbered from 1, and programs such as TrackEval refuse a frame 0. A table whose frames
 begin at 0 is therefore written with one added to each, and its last column, z, is ``-0`` in place of ``0``:
-zero metres for every reader, and for this one the mark to restore the original frames. COCO's boxes are
-results of detectors (``image_id``, ``bbox``, ``score``) or annotations.
+zero metres for every reader, and for this one the mark to restore the original frames.
 """
 
 from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cameras import boxes_on_ground, placed_boxes, with_scores
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import (
+    boxes_on_ground,
+    camera_or_scale,
+    known_camera,
+    on_ground,
+    placed_boxes,
+    read_calibration,
+    with_scores,
+)
 from graphtrack.io.format import Format, companion_paths
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.text import Numbers, read_numbers, trailing_number
+from graphtrack.io.text import Numbers, read_numbers
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.track import Track, TrackSet
 from graphtrack.tracks.validation import (
-    LARGEST_FRAME,
     LARGEST_ID,
     LARGEST_LIKELIHOOD,
     LARGEST_PIXELS,
-    is_number,
 )
 
 DEFAULT_FPS = 25.0
@@ -60,6 +64,15 @@ _CLASSES = (
 """The classes 1, 2, … of ground truth with nine columns (MOT16 and later)."""
 
 
+_VISDRONE = (
+    *("Pedestrian", "People", "Bicycle", "Car", "Van", "Truck", "Tricycle", "AwningTricycle", "Bus", "Motor"),
+    "Others",
+)
+"""The classes 1, 2, … of VisDrone, whose rows have a class, truncation and occlusion after the confidence."""
+
+_MOST_CLASSES = 90  # of COCO
+
+
 FROM_ZERO = "-0"
 """Mark in the last column: the row's frame is one less in the original table."""
 
@@ -71,9 +84,10 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes with ids, and positions where the file has them.
 
     Columns 8 and 9 are metres unless all are −1; a row of −1 among metres is a missing position. With
-    nine columns they are class and visibility (ground truth of MOT16 and later). Without metres the foot
-    point, the middle of the box's lower edge, is projected to the ground by the camera of the options or by
-    a scale. A confidence of 0 marks a row to be ignored. The confidence of detections is the channel
+    nine columns they are class and visibility (ground truth of MOT16 and later), and with ten where they look
+    like that (see `_has_classes`). Without metres, or with a camera or scale in the options, the foot point,
+    the middle of the box's lower edge, is projected to the ground by the camera or by a scale. A confidence
+    of 0 marks a row to be ignored, unless all are 0. The confidence of detections is the channel
     ``score``, see `with_scores`. Frames are those of the file or of the original table (see the module). The
     frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
     """
@@ -104,16 +118,24 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
         "box": _boxes_of(table),
         "confidence": table.bounded(6, -LARGEST_LIKELIHOOD, LARGEST_LIKELIHOOD),
     }
-    world = _world(table)
-    if world is not None:
+    classes = _has_classes(table)
+    world = None if classes else _world(table)
+    boxed = bool(np.isfinite(channels["box"][:, 0]).all())
+    notes: tuple[str, ...] = ()
+    if world is not None and options.has_camera and boxed:
+        notes = ("positions are those of the boxes, by the camera: columns 8 and 9 are not read",)
+    elif world is not None:
         channels["position"] = world
     frame, from_zero = table.integers(0), _counted_from_zero(table)
-    notes = (SHIFTED,) if from_zero.all() else ()
+    notes += (SHIFTED,) if from_zero.all() else ()
     rows = Rows(source.path, "mot", identity, frame - from_zero, channels, table.line_of, notes=notes)
     rows = replace(rows, has_identity=not nobodys)
-    if table.values.shape[1] == 9:
+    if table.values.shape[1] == 9 or classes:
         rows = _of_classes(rows, table, options)
     confidence = rows.channels["confidence"]
+    if not (table.values[:, 6] != 0.0).any():
+        unmarked = "all confidences are 0: they are no mark of rows to be ignored"
+        return rows.with_notes(unmarked).with_channels(confidence=np.full(len(rows), -1.0))
     if nobodys and (confidence < 0.0).any():  # 0 is a valid confidence there
         return rows
     return rows.keep(confidence != 0.0, IGNORED)
@@ -137,6 +159,25 @@ def _boxes_of(table: Numbers) -> FloatArray:
     return np.where(absent[:, None], np.nan, box)
 
 
+def _has_classes(table: Numbers) -> bool:
+    """Return whether columns 8, 9 and 10 of ten are a class, and truncation and occlusion, or −1.
+
+    These are small whole numbers, and a person keeps the class; metres would be those of people who stand.
+    """
+    if table.values.shape[1] < 10:
+        return False
+    kind, *further = table.values[:, 7:10].T
+    absent = (table.values[:, 7:9] == -1.0).all() or _counted_from_zero(table).any()
+    small = (kind == np.rint(kind)).all() and (kind >= 0.0).all() and (kind <= _MOST_CLASSES).all()
+    levels = all(np.isin(values, (-1.0, 0.0, 1.0, 2.0)).all() for values in further)
+    if absent or not small or not levels:
+        return False
+    kinds_of = {(identity, kind) for identity, kind in table.values[:, [1, 7]].tolist()}
+    return len(kinds_of) == len({identity for identity, _ in kinds_of}) or bool(
+        (table.values[:, 1] == -1.0).all()
+    )
+
+
 def _world(table: Numbers) -> FloatArray | None:
     """Return positions (n, 2) in metres, if the file has any."""
     if table.values.shape[1] < 10:
@@ -150,12 +191,19 @@ def _world(table: Numbers) -> FloatArray | None:
 def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
     """Return the rows of the selected classes; other rows are refused and counted by class."""
     number = table.integers(7)
-    if (number < 1).all():  # −1: a result without classes
+    if (number < 1).all():  # −1: a result without classes; 0: people, of a detector whose classes begin there
         return rows
+    known: tuple[str, ...] = _CLASSES
+    wanted = set(options.classes)
+    if table.values.shape[1] == 10:
+        from_zero = (table.values[:, 8:] == -1.0).all()
+        known = ("Pedestrian",) if from_zero else _VISDRONE
+        wanted |= {"People"} if wanted == {*ReadOptions().classes} else set()
+        number = number + 1 if from_zero else number
     rows = rows.with_channels(number=number.astype(float))
     for k in np.unique(number):
-        name = _CLASSES[k - 1] if 1 <= k <= len(_CLASSES) else f"number {k}"
-        if name not in options.classes:
+        name = known[k - 1] if 1 <= k <= len(known) else f"number {k}"
+        if name not in wanted:
             rows = rows.keep(rows.channels["number"] != k, f"of class {name}")
     return rows.without("number")
 
@@ -263,161 +311,58 @@ MOT_2D = Format(
     is_read=False,
 )
 
-PERSON = 1
-"""COCO's category of people."""
 
-_PEOPLE = ("person", "pedestrian")  # names of that category in files with names
-_ENTRY = "an object with image_id and bbox"
-_KEYS = re.compile(rb'"image_id"')
+def read_towncentre(source: Source, options: ReadOptions) -> Rows:
+    """Read boxes and project their bottom centres to the ground.
 
-
-def read_coco(source: Source, options: ReadOptions) -> Rows:
-    """Read boxes and project the middles of their lower edges to the ground; see `read_boxes`."""
-    if options.fps is None:
-        raise source.fail("no frame rate", "frames a second (--fps)")
-    rows = placed_boxes(read_coco_boxes(source, options), options).with_times(options.fps)
-    return with_scores(rows).without("box", "confidence")
-
-
-def read_coco_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """Return rows of people in the file's order, with the channels ``box`` (n, 4) and ``confidence`` (n,).
-
-    A frame is the number at the end of the image's file name, where the file names its images, and else
-    ``image_id``. Identities are ``track_id``, where all entries have one.
-    Other categories (by name where the file has names, else all but 1), entries without a box, and crowds
-    (``iscrowd``) are refused.
+    The calibration is that of the options or ``calibration.ci`` next to the file. The boxes may be those of
+    an image of half the calibrated size: that is recognised when all upper edges are centred within it,
+    unless the camera itself is given. 25 frames a second unless ``fps`` is given.
     """
-    entries, document = _entries(source)
-    frame = _frames(source, entries, document)
-    ids = [one.get("track_id") for one in entries]
-    identified = all(_is_integer(one, 0, LARGEST_ID) for one in ids)
-    box, confidence = np.full((len(entries), 4), np.nan), np.full(len(entries), -1.0)
-    for k, one in enumerate(entries):
-        if one.get("bbox"):
-            box[k] = _box(source, k, one["bbox"])
-        if one.get("score") is not None:
-            confidence[k] = _score(source, k, one["score"])
-    rows = Rows(
-        source.path,
-        "coco",
-        np.array(ids, dtype=np.int64) if identified else np.full(len(entries), -1),
-        frame,
-        {"box": box, "confidence": confidence},
-        lambda row: _line_of(source, row),
-        notes=("frames are those of the images' names",)
-        if _names(document)
-        else ("frames are the image ids",),
-        has_identity=identified,
-    )
-    kind = _categories(source, entries, document, options)
-    for name in dict.fromkeys(kind.tolist()):
-        if name:
-            kept = kind != name
-            rows, kind = rows.keep(kept, f"of category {name}"), kind[kept]
-    return rows.keep(~np.isnan(rows.channels["box"][:, 0]), "without a box")
+    rows = read_towncentre_boxes(source)
+    left, top, width, height = rows.channels["box"].T
+    pixel = np.column_stack([left + width / 2.0, top + height])
+    camera, notes = _camera(source, options, pixel, height)
+    rows = rows.with_channels(pixel=pixel).without("box")
+    return on_ground(rows, camera, notes).with_times(options.fps or DEFAULT_FPS)
 
 
-def _entries(source: Source) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
-    """Return the boxes, and the whole dataset if they belong to one."""
-    try:
-        data = orjson.loads(source.text)
-    except orjson.JSONDecodeError as error:
-        raise source.fail(f"no JSON ({error.msg})", _ENTRY, line=error.lineno) from error
-    document: Mapping[str, Any] = data if isinstance(data, dict) else {}
-    entries = document.get("annotations") if document else data
-    if not isinstance(entries, list) or not entries:
-        raise source.fail("no list of boxes", "a list with entries, or annotations in a dataset")
-    for k, one in enumerate(entries):
-        if not isinstance(one, dict) or "image_id" not in one:
-            raise _fail(source, k, f"entry {k + 1} without image_id", _ENTRY)
-    return entries, document
+def read_towncentre_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
+    """Return rows with the channel ``box`` (n, 4), left, top, width and height in the file's pixels."""
+    table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES[:6])
+    box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
+    track_id, frame = table.integers(1, LARGEST_ID), table.integers(0)
+    return Rows(source.path, "towncentre", track_id, frame, {"box": box}, table.line_of)
 
 
-def _fail(source: Source, k: int, found: str, expected: str, column: str | None = None) -> InputError:
-    return source.fail(found, expected, line=_line_of(source, k), column=column)
+def _camera(
+    source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
+) -> tuple[GroundCamera, tuple[str, ...]]:
+    camera, notes = known_camera(options, pixel)
+    (found,) = companion_paths(source.path, "towncentre")
+    if camera is None and options.metres_per_pixel is None and found.is_file():
+        camera, notes = read_calibration(found), ("calibration from calibration.ci next to the file",)
+    if camera is None:
+        return camera_or_scale(options, pixel, height)
+    if options.camera is None and _is_half(camera, pixel - np.column_stack([np.zeros_like(height), height])):
+        note = "the boxes fit into half of the calibrated image: their pixels are doubled"
+        camera, notes = camera.resized(0.5), (*notes, note)
+    return camera, notes
 
 
-def _line_of(source: Source, k: int) -> int:
-    """Return the line of an entry, counted only for a message."""
-    first = re.search(rb'"annotations"\s*:', source.data)
-    matches = list(_KEYS.finditer(source.data, 0 if first is None else first.end()))
-    place = matches[min(k, len(matches) - 1)].start() if matches else 0
-    return source.data.count(b"\n", 0, place) + 1
+def _is_half(camera: GroundCamera, top_centre: FloatArray) -> bool:
+    """Return whether pixels (n, 2) are those of an image of half the calibrated size."""
+    if camera.intrinsics is None:
+        return False
+    # The principal point is the middle of the calibrated image; half the image ends there. Boxes of people
+    # at the border extend below the image, so only their upper edges must lie within it.
+    return bool(np.all(top_centre <= camera.intrinsics[:2, 2] + 0.5))
 
 
-def _is_integer(value: object, lowest: int, highest: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest
-
-
-def _names(document: Mapping[str, Any]) -> dict[Any, int]:
-    """Return image id → number at the end of its file name; none if a number is missing or repeated."""
-    images = list(_by_id(document, "images"))
-    stems = {key: PurePosixPath(str(one.get("file_name", ""))).stem for key, one in images}
-    found = {key: trailing_number(stem) for key, stem in stems.items()}
-    numbers = {key: number for key, number in found.items() if number is not None}
-    return numbers if len(set(numbers.values())) == len(images) else {}
-
-
-def _by_id(document: Mapping[str, Any], name: str) -> Iterator[tuple[int | str, Mapping[str, Any]]]:
-    """Yield the id, a number or text, and the content of each object in a list of the document."""
-    listed = document.get(name)
-    for one in listed if isinstance(listed, list) else ():
-        if isinstance(one, dict) and isinstance(one.get("id"), int | str):
-            yield one["id"], one
-
-
-def _frames(
-    source: Source, entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any]
-) -> NDArray[np.int64]:
-    names = _names(document)
-    frames = []
-    for k, one in enumerate(entries):
-        image = one["image_id"]
-        number: object = names.get(image, image) if isinstance(image, int | str) else image
-        if isinstance(number, str):
-            number = trailing_number(PurePosixPath(number).stem)
-        if not _is_integer(number, -LARGEST_FRAME, LARGEST_FRAME):
-            expected = f"a whole number within ±{LARGEST_FRAME}, or a name that ends in one"
-            raise _fail(source, k, repr(image)[:40], expected, "image_id")
-        frames.append(number)
-    return np.array(frames, dtype=np.int64)
-
-
-def _categories(
-    source: Source, entries: Sequence[Mapping[str, Any]], document: Mapping[str, Any], options: ReadOptions
-) -> NDArray[Any]:
-    """Return each entry's reason of refusal (n,): the name of its category, or "crowd"; "" for people."""
-    wanted = {*_PEOPLE, *(name.lower() for name in options.classes)}
-    names = {key: str(one.get("name")) for key, one in _by_id(document, "categories")}
-    found = []
-    for k, one in enumerate(entries):
-        category = one.get("category_id", PERSON)
-        if not isinstance(category, int | str):
-            raise _fail(source, k, repr(category)[:40], "a number or text", "category_id")
-        name = names.get(category, "person" if category == PERSON and not names else str(category))
-        found.append("crowd" if one.get("iscrowd") == 1 else "" if name.lower() in wanted else name)
-    return np.array(found, dtype=object)
-
-
-def _box(source: Source, k: int, given: object) -> FloatArray:
-    expected = f"left, top, width and height in pixels within ±{LARGEST_PIXELS:g}, sizes above 0"
-    numbers = given if isinstance(given, list) and all(map(is_number, given)) else []
-    box = np.array(numbers, dtype=float)
-    if box.shape != (4,) or not (np.abs(box) <= LARGEST_PIXELS).all() or box[2] <= 0.0 or box[3] <= 0.0:
-        raise _fail(source, k, repr(given)[:60], expected, "bbox")
-    return box
-
-
-def _score(source: Source, k: int, given: Any) -> float:
-    if not is_number(given) or not 0.0 <= float(given) <= 1.0:
-        raise _fail(source, k, repr(given)[:40], "a number from 0 to 1", "score")
-    return float(given)
-
-
-COCO = Format(
-    name="coco",
-    description="COCO's boxes as JSON: results of a detector, or annotations",
+TOWNCENTRE = Format(
+    name="towncentre",
+    description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),
-    read=read_coco,
-    read_boxes=read_coco_boxes,
+    read=read_towncentre,
+    read_boxes=read_towncentre_boxes,
 )

@@ -406,8 +406,7 @@ class _Reading:
             return unit
         if layout.units is not None:
             return layout.units
-        by_camera = (options.camera, options.homography, options.point_pairs, options.calibration)
-        if any(one is not None for one in (*by_camera, options.metres_per_pixel)):
+        if options.has_camera:
             return None
         expected = "--units m (or cm, mm, ft) for lengths; --homography, --calibration, --point-pairs or "
         expected += "--metres-per-pixel for pixels"

@@ -22,7 +22,7 @@ from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import csv_rows, is_blank, other_delimiter
-from graphtrack.tracks.cells import Cells, Columns, cells_of_arrow, check_unique
+from graphtrack.tracks.cells import EMPTY_WORDS, Cells, Columns, cells_of_arrow, check_unique
 from graphtrack.tracks.schema import NAMES
 from graphtrack.tracks.table import arrow_array
 from graphtrack.tracks.time import date_texts
@@ -38,17 +38,21 @@ _WIDE = 1000  # columns above which pyarrow takes longer
 def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collection[str] = NAMES) -> Cells:
     """Read a comma-separated table; without a header its columns are called 1, 2, …
 
+    A table that was read by numbers is written with a header, by which it is recognised.
+
     Parameters
     ----------
     known : columns of which it has at least two, by which other delimiters are recognised
     """
     layout = options.layout()
-    has_header = layout is None or not layout.by_number
+    has_header = True
     known = known if layout is None or not layout.columns else {*layout.columns.values()}
     rows = ((line, row) for line, row in csv_rows(source.path, source.lines) if not is_blank(row))
     line, first = next(rows, (0, []))
     if not first:
         raise source.fail("no rows", "a header and rows")
+    if layout is not None and layout.by_number:
+        has_header = layout.of_names([cell.strip() for cell in first])
     few = len({cell.strip() for cell in first} & set(known)) < min(2, len(known))
     if (few if has_header else len(first) < 2) and (other := other_delimiter(source, known)) is not None:
         raise other
@@ -66,7 +70,7 @@ def read_csv(source: Source, options: ReadOptions = ReadOptions(), known: Collec
         lines.append(line)
     place = {name: k for k, name in enumerate(names)}
     columns = Columns(names, lambda name: np.array([row[place[name]] for row in cells], dtype=object))
-    return Cells(source.path, "csv", columns, lines.__getitem__)
+    return Cells(source.path, "csv", columns, lines.__getitem__, numbered=not has_header)
 
 
 def open_table(path: str | Path, needed: Sequence[str]) -> Cells:
@@ -102,8 +106,12 @@ class _Parsed:
     def numbers(self, name: str) -> FloatArray | None:
         """Return a column as numbers, or None if a cell is none."""
         import pyarrow as pa
+        import pyarrow.compute as pc
 
         column = self._table.column(name)
+        words = pc.is_in(pc.utf8_lower(pc.utf8_trim_whitespace(column)), value_set=pa.array(EMPTY_WORDS))
+        if pc.any(words).as_py():
+            column = pc.if_else(words, pa.scalar(None, pa.string()), column)
         try:
             values = _doubles(column.cast(pa.float64()).combine_chunks())
         except pa.ArrowInvalid:

@@ -99,6 +99,8 @@ Pairs = tuple[tuple[str, Any], ...]
 
 _LONGEST = 40  # characters of a value that a message repeats
 
+_LONGEST_IDENTITY = 200
+
 # -- a line --------------------------------------------------------------------------------------------------
 
 
@@ -168,7 +170,8 @@ def _key_before(text: str) -> str | None:
 def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     """Return column of the native table → its value, checked; empty cells are left out.
 
-    Identity and frame are int, the label is text, all other values are float, in the units of the table.
+    The frame is int, the identity int or text, the label text, and all other values are float, in the units
+    of the table. A number may be NaN where it was not observed.
 
     Parameters
     ----------
@@ -177,7 +180,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     """
     given = unique(pairs)
     cells: dict[str, Any] = {
-        name: _as_integer(name, given.get(name))
+        name: _key(name, given.get(name))
         for name in INTEGERS
         if name not in optional or given.get(name) is not None
     }
@@ -186,6 +189,8 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
             continue
         column = numeric(name)
         if column is not None:
+            if isinstance(value, _Literal) and value == "NaN":
+                continue
             within = type(value) is float and column.bounds.low < value < column.bounds.high
             cells[name] = value if within else _number(column, value)
         elif name in TEXTS:
@@ -213,20 +218,26 @@ def unique(pairs: Pairs) -> dict[str, Any]:
     return given
 
 
-def identity(pairs: Pairs) -> dict[str, int | None]:
+def identity(pairs: Pairs) -> dict[str, int | str | None]:
     """Return track and frame of an invalid line, as far as they can be read."""
-    found: dict[str, int | None] = {}
+    found: dict[str, int | str | None] = {}
     for name in INTEGERS:
         values = [value for key, value in pairs if key == name]
         try:
-            found[name] = _as_integer(name, values[0]) if len(values) == 1 else None
+            found[name] = _key(name, values[0]) if len(values) == 1 else None
         except InputError:
             found[name] = None
     return found
 
 
-def _as_integer(name: str, value: Any) -> int:
+def _key(name: str, value: Any) -> int | str:
+    """Return an identity, which may be text, or a frame."""
     highest = INTEGERS[name]
+    if name == "track_id" and isinstance(value, str) and not isinstance(value, _Literal):
+        if not 0 < len(value) <= _LONGEST_IDENTITY:
+            expected = f"a whole number, or text of up to {_LONGEST_IDENTITY} characters"
+            raise InputError(_shown(value), expected, column=name)
+        return value
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if type(value) is not int or abs(value) > highest:
@@ -282,7 +293,7 @@ class _Row(NamedTuple):
         return -self.line if track_id is None else track_id, self.cells.get("frame")
 
 
-_CELL_BYTES = 16
+CELL_BYTES = 16
 """Of a key that a row may lack: an object, and a number."""
 
 NOT_USED = "rows that 'track -' could not use"
@@ -314,7 +325,7 @@ def read(source: Source, options: ReadOptions = ReadOptions()) -> Cells:
         rows.append(_Row(number, given))
         if not given.keys() <= keys.keys():
             keys |= dict.fromkeys(given)
-    source.limit.check(_CELL_BYTES * len(rows) * len(keys), f"{len(rows)} rows with one of {len(keys)} keys")
+    source.limit.check(CELL_BYTES * len(rows) * len(keys), f"{len(rows)} rows with one of {len(keys)} keys")
     kept = _last_answers(rows)
     refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
     if not kept:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.column_names import SYNONYMS, plain
 from graphtrack.io.format import Format, rate_of, rate_to_write, times_are_exact
 from graphtrack.io.limits import check_stored
 from graphtrack.io.options import ReadOptions
@@ -115,10 +116,25 @@ def _read_text(source: Source, options: ReadOptions) -> Rows:
         notes.append(f"frame rate {found} Hz from the file's header")
     unit = _unit(header, options, source.path)
     table = read_numbers(source, delimiter=None, widths=(4, 5, 6), names=_NAMES, comments=True)
-    position = METRES[unit] * np.column_stack([table.metres(2), table.metres(3)])
-    ids, frame = table.integers(0, LARGEST_ID), table.integers(1)
+    of_id, of_frame, of_x, of_y = _order(header, table.values.shape[1])
+    position = METRES[unit] * np.column_stack([table.metres(of_x), table.metres(of_y)])
+    ids, frame = table.integers(of_id, LARGEST_ID), table.integers(of_frame)
     rows = Rows(source.path, "pedpy", ids, frame, {"position": position}, table.line_of)
     return rows.with_times(rate).with_notes(*notes)
+
+
+def _order(header: list[str], width: int) -> tuple[int, int, int, int]:
+    """Return the columns of id, frame, x and y: those that a line of comments names, or the first four."""
+    for line in reversed(header):
+        words = [plain(word.partition("/")[0])[0] for word in line.strip().lstrip("#").split()]
+        places = [
+            next((k for k, word in enumerate(words) if word in (key, *SYNONYMS[native])), None)
+            for key, native in (("id", "track_id"), ("frame", "frame"), ("x", "x"), ("y", "y"))
+        ]
+        found = [place for place in places if place is not None and place < width]
+        if len(found) == 4 and len({*found}) == 4:
+            return found[0], found[1], found[2], found[3]
+    return 0, 1, 2, 3
 
 
 def _declared_rate(line: str) -> str | None:

@@ -1,4 +1,4 @@
-"""ROS 2 recordings (MCAP, SQLite), their messages of people, and the definitions of those.
+"""Recordings of ROS 2 (MCAP, SQLite) and ROS 1, their messages of people, and the definitions of those.
 
 Quaternions are x, y, z, w; covariances are those of ROS's poses: 6×6, row-major, of x, y, z (metres) and of
 the rotations about the axes (radians). Messages of any library are read by their attributes.
@@ -13,7 +13,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -209,11 +209,11 @@ def own_types() -> dict[str, Any]:
     return found
 
 
-def typestore(embedded: Mapping[str, Any] | None = None) -> Typestore:
-    """Return a typestore of ROS 2's interfaces and `FIELDS`; ``embedded`` types override the latter."""
+def typestore(embedded: Mapping[str, Any] | None = None, *, ros1: bool = False) -> Typestore:
+    """Return a typestore of ROS's interfaces and `FIELDS`; ``embedded`` types override the latter."""
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     given = {name: one for name, one in (embedded or {}).items() if name not in store.fielddefs}
     store.register({**own_types(), **given})
     return store
@@ -305,17 +305,16 @@ def _of_detections(message: Any) -> Iterator[PersonSighting]:
     for one in message.detections:
         pose, covariance, score, kind = one.bbox.center, _UNKNOWN, 0.0, ""
         head, head_covariance = _NOT_ROTATED, _UNKNOWN
-        best = None
+        best: float | None = None
         for result in one.results:
-            if result.hypothesis.class_id == HEAD:
+            given, of_class = _hypothesis(result)
+            if of_class == HEAD:
                 head, head_covariance = _turn(result.pose.pose.orientation), result.pose.covariance
-            elif best is None or result.hypothesis.score > best.hypothesis.score:
-                best = result
-        if best is not None:
-            pose, covariance = best.pose.pose, best.pose.covariance
-            score, kind = best.hypothesis.score, best.hypothesis.class_id
+            elif best is None or given > best:
+                best, pose, covariance = given, result.pose.pose, result.pose.covariance
+                score, kind = given, of_class
         yield PersonSighting(
-            one.id.strip(),
+            (one.id if hasattr(one, "id") else getattr(one, "tracking_id", "")).strip(),
             _place(pose.position),
             _turn(pose.orientation),
             covariance,
@@ -324,6 +323,12 @@ def _of_detections(message: Any) -> Iterator[PersonSighting]:
             score,
             kind,
         )
+
+
+def _hypothesis(result: Any) -> tuple[float, str]:
+    """Return score and class of a hypothesis; before ROS 2 Galactic its ``id`` is the class."""
+    given = getattr(result, "hypothesis", result)
+    return given.score, str(given.class_id if hasattr(given, "class_id") else given.id)
 
 
 _READERS: Mapping[str, Callable[[Any], Iterable[PersonSighting]]] = {
@@ -416,7 +421,7 @@ class Recorded(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a recording, of ROS 1 too, which `open_bag` refuses."""
+    """Return whether a path is a recording."""
     try:
         if isinstance(path, RemoteFile):
             return str(path).lower().endswith(".mcap")
@@ -440,6 +445,7 @@ class Bag:
     ----------
     topics : name → type
     limit : of the memory that its messages of people may take
+    is_ros1 : whether its messages are those of ROS 1
     """
 
     path: Path
@@ -447,6 +453,7 @@ class Bag:
     limit: MemoryLimit
     _readers: tuple[Any, ...]
     _compression: str = ""
+    is_ros1: bool = False
 
     def store(self, kinds: Collection[str]) -> Typestore:
         """Return the typestore of these types, with the recording's definitions where it has them."""
@@ -463,7 +470,7 @@ class Bag:
                     embedded = get_types_from_msg(definition.data, kind) | embedded
                 elif definition.format == MessageDefinitionFormat.IDL:
                     embedded = get_types_from_idl(definition.data) | embedded
-            return typestore(embedded)
+            return typestore(embedded, ros1=self.is_ros1)
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         """Yield the messages of some topics, in the order of the recording."""
@@ -483,9 +490,10 @@ class Bag:
     ) -> Iterator[tuple[Recorded, Read]]:
         """Yield the messages of topics of one type, and the result of ``use`` for each."""
         store = self.store({kind})
+        deserialize = store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr
         for one in self.messages(topics):
             try:
-                found = use(store.deserialize_cdr(one.raw, kind))
+                found = use(deserialize(one.raw, kind))
             except InputError:
                 raise
             except Exception as error:  # bytes or fields of another type
@@ -500,9 +508,6 @@ class Bag:
 @contextmanager
 def open_bag(path: Path, limit: MemoryLimit | None = None) -> Iterator[Bag]:
     """Open a recording, within a limit of memory."""
-    if path.suffix.lower() == ".bag":
-        expected = "one of ROS 2 (rosbags-convert --src FILE.bag --dst FOLDER, of the package rosbags)"
-        raise InputError("a recording of ROS 1", expected, path=path)
     need_rosbags()
     readers: list[Any] = []
     with ExitStack() as stack:
@@ -521,7 +526,8 @@ def open_bag(path: Path, limit: MemoryLimit | None = None) -> Iterator[Bag]:
         kinds: dict[str, str] = {}
         for connection in chain.from_iterable(reader.connections for reader in readers):
             kinds.setdefault(connection.topic, _kind_of(connection))
-        yield Bag(path, kinds, limit, tuple(readers), "zstd" if compression == _OF_MESSAGES else "")
+        packing = "zstd" if compression == _OF_MESSAGES else ""
+        yield Bag(path, kinds, limit, tuple(readers), packing, _is_ros1(path))
 
 
 _OF_FILES, _OF_MESSAGES = "file", "message"
@@ -566,10 +572,16 @@ class _InUri(type(Path())):  # type: ignore[misc]
         return quote(os.fsencode(self))
 
 
+def _is_ros1(path: Path) -> bool:
+    return path.suffix.lower() == ".bag" and not path.is_dir()
+
+
 def _reader(path: Path, limit: MemoryLimit) -> Any:
     """Return the reader of a storage file, or of a folder with databases."""
     from rosbags.rosbag2 import Reader
 
+    if _is_ros1(path):
+        return _ros1_reader(path, limit)
     if path.suffix.lower() == ".mcap":
         return McapReader(path, limit)
     for one in path.glob("*.db3") if path.is_dir() else [path]:
@@ -580,6 +592,22 @@ def _reader(path: Path, limit: MemoryLimit) -> Any:
     return Reader(_InUri(path))
 
 
+def _ros1_reader(path: Path, limit: MemoryLimit) -> Any:
+    """Return the reader of a recording of ROS 1, whose chunks are unpacked within the limit of memory."""
+    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1.reader import Chunk, decompressors
+
+    compression_of = {unpack: "" if name == "none" else name for name, unpack in decompressors.items()}
+
+    class LimitedReader(Reader):
+        def read_chunk(self) -> Chunk:
+            chunk = super().read_chunk()
+            compression = compression_of[chunk.decompressor]
+            return chunk._replace(decompressor=partial(unpacked, compression=compression, limit=limit))
+
+    return LimitedReader(path)
+
+
 def _close(reader: Any) -> None:
     with contextlib.suppress(Exception):  # nothing is lost in a recording that is only read
         reader.close()
@@ -587,7 +615,9 @@ def _close(reader: Any) -> None:
 
 def _kind_of(connection: Any) -> str:
     """Return the full name of a type, such as geometry_msgs/msg/Pose; of another encoding its name."""
-    encoding = connection.ext.serialization_format
+    encoding = getattr(connection.ext, "serialization_format", "cdr")  # ROS 1 has one encoding
+    if connection.msgtype == "tf/msg/tfMessage":  # the name of TFMessage before ROS 1 Groovy
+        return TRANSFORMS
     if encoding != "cdr":
         return f"{encoding or 'unknown'} messages"
     package, _, last = connection.msgtype.partition("/")
@@ -606,7 +636,9 @@ def reading_errors(path: Path, what: str) -> Iterator[None]:
     except Exception as error:  # from rosbags, mcap, zstd, lz4, SQLite, YAML or parsers
         message_text = " ".join(str(error).split())[:200] or type(error).__name__
         found = f"{what} that is cut or damaged ({message_text})"
-        raise InputError(found, "a whole one of ROS 2 (ros2 bag reindex, mcap recover)", path=path) from error
+        raise InputError(
+            found, "a whole one of ROS (ros2 bag reindex, rosbag reindex, mcap recover)", path=path
+        ) from error
 
 
 def _numbered(folder: Path, pattern: str) -> list[Path]:

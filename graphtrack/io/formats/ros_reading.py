@@ -1,4 +1,4 @@
-"""Rows of a ROS 2 recording: people of messages and of ``tf`` (REP 155) on the ground of one frame."""
+"""Rows of a ROS recording: people of messages and of ``tf`` (REP 155) on the ground of one frame."""
 
 from __future__ import annotations
 
@@ -660,7 +660,7 @@ def _first_of_each(joined: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
 
 BAG = Format(
     name="bag",
-    description="ROS 2 bag or MCAP: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
+    description="ROS 2 bag or MCAP, or ROS 1 bag: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
     suffixes=(".mcap",),
     read=lambda source, options: rows_of_bag(source.path, options),
     write=write_mcap,

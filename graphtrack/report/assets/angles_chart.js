@@ -1,14 +1,14 @@
-// Chart of body and head: selected person, time range, and synchronisation with the replay.
+// Chart of speed, heading, body and head: selected person, time range, and synchronisation with the replay.
 
 function startAngles(root, crowd, replay) {
   const part = (name) => root.querySelector('[data-part="' + name + '"]');
   const canvas = part("chart"), ctx = canvas.getContext("2d"), who = part("who"), people = crowd.people;
-  const angled = people.map((_, i) => i).filter((i) => angleNames(people[i]).length);
+  const charted = people.map((_, i) => i).filter((i) => chartNames(people[i]).length);
   let theme = readTheme(root), index = -1, range = [0, 1], width = 0, height = 0, pointed = NaN, queued = false, painted = false;
   // What changes neither with time nor with the pointer is drawn once.
   const still = document.createElement("canvas");
 
-  if (!angled.length) { root.hidden = true; return; }
+  if (!charted.length) { root.hidden = true; return; }
 
   function whole() {
     const t = people[index].t, span = t[t.length - 1] - t[0];
@@ -49,7 +49,8 @@ function startAngles(root, crowd, replay) {
     index = i; pointed = NaN;
     whole();
     who.value = people[i].name;
-    canvas.setAttribute("aria-label", "Body and head of person " + people[i].name + " over time");
+    canvas.style.height = CHART.top + CHART.bottom + chartNames(people[i]).length * (CHART.tall + CHART.gap) - CHART.gap + "px";
+    canvas.setAttribute("aria-label", "Speed and orientation of person " + people[i].name + " over time");
     repaint();
   }
   function zoom(factor, sx) {
@@ -63,29 +64,29 @@ function startAngles(root, crowd, replay) {
     zoom(factor, timeToScreen(range, width, inside ? now : (range[0] + range[1]) / 2));
   }
   function move(by) {
-    const at = angled.indexOf(index), next = angled[(Math.max(at, 0) + by + angled.length) % angled.length];
+    const at = charted.indexOf(index), next = charted[(Math.max(at, 0) + by + charted.length) % charted.length];
     crowd.choose(next);
   }
   // While one types, only what is meant beyond doubt is taken; at the end, the first that fits.
   function search(done) {
     const words = who.value.trim(), found = words ? findPeople(people, words) : [];
-    who.setCustomValidity(words && !found.length ? "Nobody has such an id or label" : "");
+    who.setCustomValidity(words && !found.length ? "Nobody has such a name or id" : "");
     if (found.length === 1 || (done && found.length)) crowd.choose(found[0]);
     else if (done) who.value = people[index].name;
   }
 
   // The legend holds what there are data for.
-  const known = (kind) => people.some((p) => ["body", "head"].some((name) => p[kind.replace("*", name)].some(Number.isFinite)));
+  const known = (kind) => people.some((p) => ["heading", "body", "head"].some((name) => p[kind.replace("*", name)].some(Number.isFinite)));
   Object.entries({ "±1σ": "*_std", "95 %": "*_std", observation: "seen_*", "not observed": "seen_*", truth: "true_*" }).forEach(([key, kind]) => {
     root.querySelector('[data-key="' + key + '"]').hidden = !known(kind);
   });
   who.addEventListener("focus", () => who.select());
   who.addEventListener("input", () => search(false));
   who.addEventListener("change", () => search(true));
-  part("names").append(...angled.map((i) => Object.assign(document.createElement("option"), { value: people[i].name })));
+  part("names").append(...charted.map((i) => Object.assign(document.createElement("option"), { value: people[i].name })));
   part("before").addEventListener("click", () => move(-1));
   part("after").addEventListener("click", () => move(1));
-  part("before").disabled = part("after").disabled = angled.length < 2;
+  part("before").disabled = part("after").disabled = charted.length < 2;
   part("closer").addEventListener("click", () => zoomAtTime(1.6));
   part("wider").addEventListener("click", () => zoomAtTime(1 / 1.6));
   part("fit").addEventListener("click", () => { whole(); repaint(); });
@@ -101,7 +102,7 @@ function startAngles(root, crowd, replay) {
   crowd.onChange(() => show(crowd.chosen));
   replay.onTime(redraw);
   // Default before a selection: the person with most data.
-  const longest = angled.reduce((best, i) => (people[i].t.length > people[best].t.length ? i : best), angled[0]);
+  const longest = charted.reduce((best, i) => (people[i].t.length > people[best].t.length ? i : best), charted[0]);
   show(crowd.chosen >= 0 ? crowd.chosen : longest);
   new ResizeObserver(resize).observe(canvas);
 }

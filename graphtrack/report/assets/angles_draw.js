@@ -1,6 +1,6 @@
-// Drawing body and head of one person over time on a canvas: bands, observations, estimate and truth.
+// Drawing speed, heading, body and head of one person over time on a canvas: bands, observations, estimate and truth.
 
-const CHART = { left: 52, right: 10, top: 8, bottom: 34, gap: 16 };
+const CHART = { left: 52, right: 10, top: 8, bottom: 34, gap: 16, tall: 130 };  // tall: pixels of a panel
 const BANDS = [[1.96, 0.18], [1, 0.28]];  // 95 % and ±1σ, and how dark
 
 // The angle without jumps of a turn; what is not known stays so.
@@ -31,8 +31,20 @@ function turnsInSight(low, high) {
   return turns;
 }
 
-function angleNames(person) {
-  return ["body", "head"].filter((name) => person[name].some(Number.isFinite) || person["seen_" + name].some(Number.isFinite));
+// The quantities of a person that have a panel, from above.
+function chartNames(person) {
+  const known = (name) => (person[name] || []).some(Number.isFinite);
+  return ["speed", "heading", "body", "head"].filter((name) => known(name) || known("seen_" + name));
+}
+
+function colourOf(name, theme) { return theme[name] || theme.velocity; }
+
+// The top of the scale of speeds: a round number above all but a few ends of intervals, which a moment of doubt can send far up.
+function topSpeed(person) {
+  const ends = Array.from(person.speed, (speed, i) => Math.max(speed, person.speed_high[i] || 0)).filter(Number.isFinite).sort((a, b) => a - b);
+  const fastest = person.speed.reduce((most, speed) => Math.max(most, speed || 0), 0.1);
+  const most = Math.max(ends[Math.floor(0.98 * (ends.length - 1))] || 0, fastest);
+  return [0.2, 0.5, 1, 1.5, 2, 3].find((top) => top >= most) || niceStep(most);
 }
 
 function panelsOf(names, width, height) {
@@ -44,6 +56,12 @@ function timeToScreen(range, width, t) { return CHART.left + (t - range[0]) / (r
 
 function screenToTime(range, width, sx) { return range[0] + (sx - CHART.left) / (width - CHART.left - CHART.right) * (range[1] - range[0]); }
 
+// [value, place from 0 at the bottom to 1] of the lines of a panel.
+function linesOf(panel) {
+  if (panel.name === "speed") return [0, 0.5, 1].map((share) => [+(share * panel.top_speed).toPrecision(3), share]);
+  return [-180, -90, 0, 90, 180].map((degrees) => [degrees, degrees / 360 + 0.5]);
+}
+
 function drawAxes(ctx, panels, range, width, theme) {
   ctx.font = "12px system-ui, sans-serif"; ctx.lineWidth = 1;
   const bottom = panels[panels.length - 1].bottom, step = niceStep(90 * (range[1] - range[0]) / (width - CHART.left - CHART.right));
@@ -51,10 +69,10 @@ function drawAxes(ctx, panels, range, width, theme) {
   panels.forEach((panel) => {
     ctx.strokeStyle = theme.grid; ctx.fillStyle = theme.muted; ctx.textAlign = "right"; ctx.textBaseline = "middle";
     ctx.beginPath();
-    [-180, -90, 0, 90, 180].forEach((degrees) => {
-      const sy = Math.round(angleToScreen(panel, degrees / 360 * TURN)) + 0.5;
+    linesOf(panel).forEach(([value, share]) => {
+      const sy = Math.round(panel.bottom - share * (panel.bottom - panel.top)) + 0.5;
       ctx.moveTo(panel.left, sy); ctx.lineTo(panel.right, sy);
-      ctx.fillText(String(degrees).replace("-", "−"), panel.left - 6, sy);
+      ctx.fillText(String(value).replace("-", "−"), panel.left - 6, sy);
     });
     for (let k = Math.ceil(range[0] / step); k * step <= range[1]; k++) {
       const sx = Math.round(timeToScreen(range, width, k * step)) + 0.5;
@@ -62,7 +80,7 @@ function drawAxes(ctx, panels, range, width, theme) {
     }
     ctx.stroke();
     ctx.save(); ctx.translate(11, (panel.top + panel.bottom) / 2); ctx.rotate(-TURN / 4);
-    ctx.fillStyle = theme.ink; ctx.textAlign = "center"; ctx.fillText(panel.name + " (°)", 0, 0); ctx.restore();
+    ctx.fillStyle = theme.ink; ctx.textAlign = "center"; ctx.fillText(panel.name + (panel.name === "speed" ? " (m/s)" : " (°)"), 0, 0); ctx.restore();
   });
   ctx.fillStyle = theme.muted; ctx.textAlign = "center"; ctx.textBaseline = "top";
   for (let k = Math.ceil(range[0] / step); k * step <= range[1]; k++) ctx.fillText((k * step).toFixed(digits).replace("-", "−"), timeToScreen(range, width, k * step), bottom + 5);
@@ -72,8 +90,27 @@ function drawAxes(ctx, panels, range, width, theme) {
 
 function angleToScreen(panel, angle) { return (panel.top + panel.bottom) / 2 - angle / TURN * (panel.bottom - panel.top); }
 
+function drawSpeed(ctx, panel, person, range, width, theme) {
+  const at = (i) => timeToScreen(range, width, person.t[i]);
+  const y = (speed) => panel.bottom - speed / panel.top_speed * (panel.bottom - panel.top);
+  const trace = (values, first, last, step) => { for (let i = first; i !== last + step; i += step) ctx.lineTo(at(i), y(values[i])); };
+  ctx.save();
+  ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.right - panel.left, panel.bottom - panel.top); ctx.clip();
+  ctx.fillStyle = ctx.strokeStyle = theme.velocity; ctx.lineJoin = "round"; ctx.lineWidth = 2;
+  ctx.globalAlpha = 0.22;
+  knownRuns(person.t, person.speed_low, person.hole).forEach(([first, last]) => {
+    ctx.beginPath(); trace(person.speed_high, first, last, 1); trace(person.speed_low, last, first, -1); ctx.fill();
+  });
+  ctx.globalAlpha = 1;
+  knownRuns(person.t, person.speed, person.hole).forEach(([first, last]) => {
+    ctx.beginPath(); trace(person.speed, first, last, 1); ctx.stroke();
+    if (first === last) { ctx.beginPath(); ctx.arc(at(first), y(person.speed[first]), 3, 0, TURN); ctx.fill(); }
+  });
+  ctx.restore();
+}
+
 function drawPanel(ctx, panel, person, range, width, theme) {
-  const { name } = panel, colour = theme[name], angle = unwrapped(person[name]), std = person[name + "_std"];
+  const { name } = panel, colour = colourOf(name, theme), angle = unwrapped(person[name]), std = person[name + "_std"];
   const at = (i) => timeToScreen(range, width, person.t[i]);
   ctx.save();
   ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.right - panel.left, panel.bottom - panel.top); ctx.clip();
@@ -142,10 +179,11 @@ function drawCurve(ctx, panel, person, angle, runs, at, colour, width, dash) {
 
 function drawAngles(ctx, width, height, person, range, theme) {
   ctx.clearRect(0, 0, width, height);
-  const panels = panelsOf(angleNames(person), width, height);
+  const panels = panelsOf(chartNames(person), width, height);
   if (!panels.length) return;
+  panels.forEach((panel) => { panel.top_speed = panel.name === "speed" ? topSpeed(person) : NaN; });
   drawAxes(ctx, panels, range, width, theme);
-  panels.forEach((panel) => drawPanel(ctx, panel, person, range, width, theme));
+  panels.forEach((panel) => (panel.name === "speed" ? drawSpeed : drawPanel)(ctx, panel, person, range, width, theme));
 }
 
 function drawTimeMark(ctx, width, height, range, t, colour) {
@@ -159,11 +197,13 @@ function drawTimeMark(ctx, width, height, range, t, colour) {
 function anglesInWords(person, t) {
   const state = stateAt(person, t), degrees = (angle) => Math.round(angle / TURN * 360).toString().replace("-", "−") + "°";
   if (!state) return t.toFixed(2) + " s: not there (" + person.t[0].toFixed(1) + " to " + person.t[person.t.length - 1].toFixed(1) + " s)";
-  const parts = angleNames(person).map((name) => {
+  const metres = (value) => value.toFixed(2);
+  const parts = chartNames(person).map((name) => {
+    if (name === "speed") return "speed " + metres(state.speed) + " m/s" + (Number.isFinite(state.speed_low) ? " (95\u202f%: " + metres(state.speed_low) + " to " + metres(state.speed_high) + ")" : "");
     const std = state[name + "_std"], seen = state["seen_" + name], truth = state["true_" + name];
     const extra = [Number.isFinite(seen) ? "observed " + degrees(seen) : "", Number.isFinite(truth) ? "truth " + degrees(truth) : ""].filter(Boolean);
     const value = Number.isFinite(state[name]) ? degrees(state[name]) + (Number.isFinite(std) ? " ± " + degrees(std) : "") : "–";
     return name + " " + value + (extra.length ? " (" + extra.join(", ") + ")" : "");
   });
-  return t.toFixed(2) + " s: " + (parts.join(" · ") || "neither body nor head is known");
+  return t.toFixed(2) + " s: " + (parts.join(" · ") || "no speed or angle is known");
 }

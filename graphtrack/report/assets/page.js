@@ -19,7 +19,7 @@ async function startDrawing() {
   const crowd = createCrowd(data.people.map((coded) => decodePerson(coded, data.steps)));
   const events = decodeEvents(data.events, crowd.people);
   const behaviour = decodeBehaviour(data, crowd.people);
-  const replay = startReplay(root, crowd, data.frame || 0, data.unsure, events, behaviour, data.sensors);
+  const replay = startReplay(root, crowd, data.frame || 0, data.unsure, events, behaviour, data.sensors, data.background);
   startPeople(root, crowd, replay);
   tellDoing(root.querySelector('[data-part="doing"]'), crowd, replay, behaviour);
   document.querySelectorAll(".angles").forEach((chart) => startAngles(chart, crowd, replay));

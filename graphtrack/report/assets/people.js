@@ -20,20 +20,24 @@ function createCrowd(people) {
       if (i >= 0) people[i].shown = true;
       tell();
     },
-    indexOf(id) { return people.findIndex((p) => p.id === id); },
+    // By name, or by the number that a name stands for.
+    indexOf(id) {
+      const at = people.findIndex((p) => p.id === id);
+      return at < 0 ? people.findIndex((p) => p.number === id) : at;
+    },
   };
   return crowd;
 }
 
-// Indices of those whose id is, or whose label has, what was typed; several with commas. Nothing typed: everybody.
+// Indices of those whose name or number is, or whose label has, what was typed; several with commas. Nothing typed: everybody.
 function findPeople(people, words) {
   const terms = words.toLowerCase().split(",").map((term) => term.trim()).filter(Boolean);
   const all = people.map((_, i) => i);
   if (!terms.length) return all;
   const found = new Set();
   terms.forEach((term) => {
-    const exact = all.filter((i) => people[i].id === term || people[i].name.toLowerCase() === term);
-    const near = () => all.filter((i) => people[i].id.startsWith(term) || people[i].label.toLowerCase().includes(term));
+    const exact = all.filter((i) => [people[i].id, people[i].name, people[i].number].some((name) => name.toLowerCase() === term));
+    const near = () => all.filter((i) => people[i].number.startsWith(term) || people[i].name.toLowerCase().includes(term));
     (exact.length ? exact : near()).forEach((i) => found.add(i));
   });
   return all.filter((i) => found.has(i));

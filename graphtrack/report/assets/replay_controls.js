@@ -1,6 +1,6 @@
 // The replay's controls: time, speed, layers, zoom, keyboard and the address (#t=5.0&person=12&play=0&speed=2).
 
-function startReplay(root, crowd, frame, unsure, events, behaviour, sensors) {
+function startReplay(root, crowd, frame, unsure, events, behaviour, sensors, background) {
   const part = (name) => root.querySelector('[data-part="' + name + '"]');
   const canvas = part("canvas"), ctx = canvas.getContext("2d");
   const slider = part("time"), playButton = part("play"), clock = part("clock"), speed = part("speed"), trail = part("trail");
@@ -10,6 +10,9 @@ function startReplay(root, crowd, frame, unsure, events, behaviour, sensors) {
   const layers = {};
   let theme = readTheme(root), view = null, time = begin, playing = false, stamp = null, queued = false, times = null, painted = false;
 
+  const ground = background ? { image: new Image(), extent: background.extent } : null;
+  if (ground) { ground.image.onload = () => redraw(); ground.image.src = background.image; }
+
   slider.min = 0; slider.max = Math.max(end - begin, 0); slider.step = "any";
   [slider, playButton, part("back"), part("onward")].forEach((control) => { control.disabled = end <= begin; });
 
@@ -18,7 +21,7 @@ function startReplay(root, crowd, frame, unsure, events, behaviour, sensors) {
     if (!view) return;
     if (layers.paths && !painted) paintBackdrop();
     const strong = [crowd.chosen, crowd.hovered].filter((i) => i >= 0);
-    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, behaviour, sensors, linger: Math.max(1, 3 * frame) };
+    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, behaviour, sensors, ground, linger: Math.max(1, 3 * frame) };
     const present = drawMoment(ctx, view, scene);
     slider.value = time - begin;
     clock.textContent = time.toFixed(2) + " s of " + end.toFixed(2) + " s · " + countOf(present, "person", "people");

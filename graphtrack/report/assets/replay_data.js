@@ -1,7 +1,7 @@
 // Unpacking and decoding the replay's data, and asking where a person is at a time. Nothing here touches the page.
 
-const LENGTHS = ["x", "y", "vx", "vy", "major", "minor", "seen_x", "seen_y", "seen_major", "seen_minor", "true_x", "true_y"];
-const ANGLES = ["tilt", "seen_tilt", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
+const LENGTHS = ["x", "y", "vx", "vy", "speed_low", "speed_high", "major", "minor", "seen_x", "seen_y", "seen_major", "seen_minor", "true_x", "true_y"];
+const ANGLES = ["tilt", "seen_tilt", "heading", "heading_std", "seen_heading", "true_heading", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
 const TURN = 2 * Math.PI;
 
 // Base64 of zlib of JSON → parsed JSON.
@@ -26,11 +26,12 @@ function decodeGaps(coded) {
 }
 
 function decodePerson(coded, steps) {
-  const person = { id: coded.id, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
+  const person = { id: coded.id, number: coded.number, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
   person.name = coded.id + (coded.label ? " " + coded.label : "");
   person.t = undelta(coded.t, steps.time);
   LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length); });
   ANGLES.forEach((name) => { person[name] = undelta(coded[name], steps.angle); });
+  person.speed = person.vx.map((vx, i) => Math.hypot(vx, person.vy[i]));
   person.sure = undelta(coded.sure, steps.sure);
   person.sensor = undelta(coded.sensor, 1);
   person.gaps = decodeGaps(coded.gaps);
@@ -83,9 +84,9 @@ function stateAt(person, t) {
   const f = step > 0 && step <= person.hole ? Math.min(Math.max((t - person.t[i]) / step, 0), 1) : 0;
   const nearest = f < 0.5 ? i : j;
   const state = { index: i, nearest, seen: person.seen === null || person.seen[nearest] === "1" };
-  ["x", "y", "vx", "vy", "true_x", "true_y"].forEach((name) => { state[name] = mix(person[name][i], person[name][j], f); });
-  ["body", "head", "true_body", "true_head"].forEach((name) => { state[name] = mixAngle(person[name][i], person[name][j], f); });
-  ["major", "minor", "tilt", "seen_x", "seen_y", "body_std", "head_std", "seen_body", "seen_head"].forEach((name) => { state[name] = person[name][nearest]; });
+  ["x", "y", "vx", "vy", "speed", "speed_low", "speed_high", "true_x", "true_y"].forEach((name) => { state[name] = mix(person[name][i], person[name][j], f); });
+  ["heading", "body", "head", "true_body", "true_head"].forEach((name) => { state[name] = mixAngle(person[name][i], person[name][j], f); });
+  ["major", "minor", "tilt", "seen_x", "seen_y", "heading_std", "body_std", "head_std", "seen_body", "seen_head"].forEach((name) => { state[name] = person[name][nearest]; });
   return Number.isFinite(state.x) && Number.isFinite(state.y) ? state : null;
 }
 

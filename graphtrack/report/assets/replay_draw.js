@@ -258,10 +258,17 @@ function drawMarks(ctx, view, scene) {
 
 function markSize(count) { return count <= 12 ? 1 : Math.max(0.6, Math.sqrt(12 / count)); }
 
-// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, behaviour, sensors, linger}. `strong` holds the indices of those to be made plain.
+// The image under the paths, faint: the paths have to stand out.
+function drawGround(ctx, view, ground) {
+  const [left, right, bottom, top] = ground.extent, [x0, y0] = toScreen(view, left, top), [x1, y1] = toScreen(view, right, bottom);
+  ctx.globalAlpha = 0.55; ctx.drawImage(ground.image, x0, y0, x1 - x0, y1 - y0); ctx.globalAlpha = 1;
+}
+
+// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, behaviour, sensors, ground, linger}. `strong` holds the indices of those to be made plain.
 // Returns how many people are there.
 function drawMoment(ctx, view, scene) {
   ctx.clearRect(0, 0, view.width, view.height);
+  if (scene.layers.background && scene.ground && scene.ground.image.complete) drawGround(ctx, view, scene.ground);
   drawGrid(ctx, view, scene.theme);
   if (scene.layers.views) drawViews(ctx, view, scene.sensors);
   if (scene.backdrop) ctx.drawImage(scene.backdrop, 0, 0, view.width, view.height);

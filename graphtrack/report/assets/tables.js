@@ -12,7 +12,7 @@ function sortKey(text) {
 
 function compareKeys(a, b, direction) {
   if (a === null || b === null) return (a === null) - (b === null);
-  if (typeof a === typeof b) return direction * (typeof a === "number" ? a - b : a.localeCompare(b));
+  if (typeof a === typeof b) return direction * (typeof a === "number" ? a - b : a.localeCompare(b, undefined, { numeric: true }));
   return typeof a === "number" ? -1 : 1;
 }
 

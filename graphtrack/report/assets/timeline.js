@@ -40,6 +40,7 @@ function startTimeline(root, crowd, replay, unsure, events) {
     const density = window.devicePixelRatio || 1;
     width = canvas.clientWidth; height = canvas.clientHeight;
     canvas.width = Math.round(width * density); canvas.height = Math.round(height * density);
+    TIMELINE.left = roomForNames(ctx, people, width);
     ctx.setTransform(density, 0, 0, density, 0, 0);
     painted = false;
     draw();

@@ -1,6 +1,24 @@
 // Drawing people's lives on a canvas, a row each: bars, gaps, joins, and where identities went wrong.
+// TIMELINE.left is as wide as the names, see roomForNames.
 
 const TIMELINE = { left: 52, right: 14, top: 10, bottom: 34 };
+
+const NAME_FONT = "600 12px system-ui, sans-serif";
+
+// Pixels that the names need, to a quarter of the width.
+function roomForNames(ctx, people, width) {
+  ctx.font = NAME_FONT;
+  const widest = people.reduce((most, person) => Math.max(most, ctx.measureText(person.id).width), 0);
+  return Math.round(Math.max(52, Math.min(widest + 18, 0.25 * width)));
+}
+
+// A name cut to a width, with the context's font.
+function cutToWidth(ctx, name, width) {
+  if (ctx.measureText(name).width <= width) return name;
+  let count = name.length;
+  while (count > 1 && ctx.measureText(name.slice(0, count) + "…").width > width) count -= 1;
+  return name.slice(0, count) + "…";
+}
 
 function rowHeightOf(count) { return count <= 12 ? 24 : count <= 24 ? 18 : 14; }
 
@@ -104,8 +122,8 @@ function drawTimeline(ctx, width, height, scene) {
     ctx.fillStyle = theme.grid; ctx.fillRect(0, TIMELINE.top + row * tall, width, tall);
   });
   drawTimeAxis(ctx, width, height, range, theme);
-  ctx.font = "600 12px system-ui, sans-serif"; ctx.fillStyle = theme.ink; ctx.textAlign = "right"; ctx.textBaseline = "middle";
-  rows.forEach((i, row) => ctx.fillText(people[i].id, TIMELINE.left - 10, TIMELINE.top + (row + 0.5) * tall, TIMELINE.left - 14));
+  ctx.font = NAME_FONT; ctx.fillStyle = theme.ink; ctx.textAlign = "right"; ctx.textBaseline = "middle";
+  rows.forEach((i, row) => ctx.fillText(cutToWidth(ctx, people[i].id, TIMELINE.left - 14), TIMELINE.left - 10, TIMELINE.top + (row + 0.5) * tall));
   ctx.save();
   // Births and switches at the edge are marks that stand out of it.
   ctx.beginPath(); ctx.rect(TIMELINE.left - 6, 0, width - TIMELINE.left - TIMELINE.right + 12, height); ctx.clip();

@@ -23,10 +23,11 @@ from graphtrack.report.style import (
     new_figure,
     open_holes,
     person_dash,
+    plain,
     quantity_colour,
     tidy,
 )
-from graphtrack.tracks.display import person_colour
+from graphtrack.tracks.display import LONGEST, VELOCITY_COLOUR, person_colour
 from graphtrack.tracks.track import Track
 
 PANELS_A_LINE = 3
@@ -104,13 +105,13 @@ def _write_above(axes: Axes, value: float, y: int, align: Literal["left", "cente
 
 
 def _words(name: Any) -> str:
-    return str(name).replace("_", " ").replace("$", r"\$")
+    return plain(str(name).replace("_", " "), LONGEST)
 
 
 _COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
 
 
-def plot_reliability(calibration: Records) -> Figure:
+def plot_reliability(calibration: Records, of: str = "truth") -> Figure:
     """Draw one panel a quantity: coverage of intervals against their nominal probability.
 
     Uncertainties are correct on the diagonal, too small below it, too large above it.
@@ -120,6 +121,7 @@ def plot_reliability(calibration: Records) -> Figure:
     calibration : DataFrame or list of dict
         With ``method``, ``quantity`` (such as ``position``), ``nees`` per degree of freedom, ``confidence``
         and ``coverage`` (both sequences of as many shares), one row a method and quantity.
+    of : what the intervals should contain, for the axis
 
     Returns
     -------
@@ -149,7 +151,7 @@ def plot_reliability(calibration: Records) -> Figure:
                     label=f"{row['method']}: {row['nees']:.2f}",
                 )
         _finish(axes, quantity)
-    panels[0].set_ylabel("truth inside", fontsize=9)
+    panels[0].set_ylabel(f"{of} inside", fontsize=9)
     words = "nominal probability      grey: correct; below: uncertainty too small; NEES next to each method"
     figure.supxlabel(words, fontsize=9, color=NEUTRAL_COLOUR)
     return figure
@@ -187,7 +189,7 @@ def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
     pair = pair_track(estimate, observation)
     names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
     figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
-    figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)
+    figure.suptitle(plain(pair.title, LONGEST), x=0.01, ha="left", fontsize=11)
     if not names:
         axes = figure.add_subplot()
         axes.set_axis_off()
@@ -199,6 +201,53 @@ def plot_angles(estimate: Track, observation: Track | None = None) -> Figure:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
     panels[-1].set_xlabel("time (s)")
     return figure
+
+
+def plot_person(pair: Pair) -> Figure | None:
+    """Draw speed, heading, body and head of one person over time, with 95 % intervals; None: none known.
+
+    The heading is drawn where its interval is narrower than a half turn: nobody who stands has one.
+    """
+    moves = pair.estimate.velocity is not None and bool(np.isfinite(pair.estimate.velocity).any())
+    names = ["speed", "heading"] if moves else []
+    names += [name for name in ANGLE_COLOURS if has_angle(pair, name)]
+    if not names:
+        return None
+    figure = new_figure(9.4, 0.8 + 1.7 * len(names))
+    figure.suptitle(plain(pair.title, LONGEST), x=0.01, ha="left", fontsize=11)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        if name in ANGLE_COLOURS:
+            _draw_angle(axes, pair, name)
+        else:
+            _draw_motion(axes, pair.estimate, name)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def _draw_motion(axes: Axes, track: Track, name: str) -> None:
+    """Draw the speed or the heading with its 95 % interval."""
+    low, high = track.interval(name)
+    if name == "speed":
+        t, low, high, value = open_holes(track.t, low, high, track.speed)
+        axes.fill_between(t, low, high, color=VELOCITY_COLOUR, alpha=0.2, linewidth=0, label="95 %")
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("speed (m/s)")
+    else:
+        half = 0.5 * (high - low)
+        heading = np.where(half >= np.pi / 2.0, np.nan, track.heading)
+        for i, band in enumerate(angle_bands(*open_holes(track.t, heading, half))):
+            edges = np.degrees(band.lower), np.degrees(band.upper)
+            label = "95 %" if i == 0 else None
+            axes.fill_between(band.t, *edges, color=VELOCITY_COLOUR, alpha=0.2, linewidth=0, label=label)
+        t, value = break_at_seam(*open_holes(track.t, heading))
+        value = np.degrees(value)
+        axes.set_ylim(-180.0, 180.0)
+        axes.set_yticks(np.arange(-180, 181, 90))
+        axes.set_ylabel("heading (°)")
+    axes.plot(t, value, color=VELOCITY_COLOUR, linewidth=1.6, label="estimate", zorder=3)
+    tidy(axes)
 
 
 def _draw_angle(axes: Axes, pair: Pair, name: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,16 +23,20 @@ from graphtrack.report.style import (
     longest_step,
     new_figure,
     open_holes,
+    plain,
     tidy,
 )
-from graphtrack.tracks.display import person_colour
+from graphtrack.tracks.display import listed, person_colour, rgb
 from graphtrack.tracks.track import TrackSet
 
 MOST = 40
 """Most groups in a timeline."""
 
+_AT_AXIS = 3
+"""Most members of a group whose names are at the axis."""
 
-def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan]) -> Figure:
+
+def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan], people: Mapping[int, str]) -> Figure:
     """Draw a band for each group over its time span, with the number of members as height.
 
     People walking together are hatched. Of more than `MOST` groups those with most person-seconds are shown.
@@ -41,6 +45,7 @@ def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan]) -> Figure:
     ----------
     groups : members of groups over time
     spans : summary of each group
+    people : track id → name; the first names of a group's members are at the axis
     """
     largest = sorted(spans, key=lambda span: -span.person_seconds)[:MOST]
     shown = sorted(largest, key=lambda span: (span.start, span.number))
@@ -71,12 +76,14 @@ def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan]) -> Figure:
         axes.annotate(
             members, (span.end, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8
         )
-    axes.set_yticks(range(len(shown)), [str(span.number) for span in shown])
+    members_of = [plain(listed([people[one] for one in span.members], _AT_AXIS), 40) for span in shown]
+    labels = [f"{names}   {span.number}" for names, span in zip(members_of, shown, strict=True)]
+    axes.set_yticks(range(len(shown)), labels)
     axes.set_ylim(max(len(shown), 1) - 0.4, -0.6)
     if len(groups.t):
         # The whole recording, whether or not there were groups at its ends.
         axes.set_xlim(float(groups.t.min()), max(float(groups.t.max()), float(groups.t.min()) + 1e-3))
-    axes.set(xlabel="time (s)", ylabel="group")
+    axes.set(xlabel="time (s)", ylabel="members, group")
     tidy(axes, grid="x")
     return figure
 
@@ -132,10 +139,14 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
     return figure
 
 
-def plot_look_timeline(found: Sequence[Attention]) -> Figure:
+def plot_look_timeline(found: Sequence[Attention], people: Mapping[int, str]) -> Figure:
     """Draw the most probable gaze target of each person over time, labelled if there is room; blank: none.
 
     Of more than `MOST` people those with most gaze at targets are shown.
+
+    Parameters
+    ----------
+    people : track id → name
     """
     spent = [_seconds(one)[:-1].sum() for one in found]
     shown = [found[k] for k in np.sort(np.argsort(spent, kind="stable")[::-1][:MOST])]
@@ -153,12 +164,15 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
             runs = [run for run in finite_runs(best == k) if seconds[run].sum() > 0.0]
             starts = [float(one.t[run.start] - seconds[run.start] / 2) for run in runs]
             bars = list(zip(starts, [float(seconds[run].sum()) for run in runs], strict=True))
-            axes.broken_barh(bars, (row - 0.4, 0.8), facecolors=person_colour(names[target]), linewidth=0)
+            colour = person_colour(names[target])
+            axes.broken_barh(bars, (row - 0.4, 0.8), facecolors=colour, linewidth=0)
+            ink = "white" if _is_dark(colour) else "#1C2026"
+            name = plain(people[int(target[1])] if target[0] == "person" else target[1])
             for start, length in bars:
-                if length * second > 6.5 * len(target[1]):
+                if length * second > 6.5 * len(name):
                     middle = (start + length / 2, row)
-                    axes.annotate(target[1], middle, ha="center", va="center", fontsize=7)
-    axes.set_yticks(range(len(shown)), [str(one.track_id) for one in shown])
+                    axes.annotate(name, middle, ha="center", va="center", fontsize=7, color=ink)
+    axes.set_yticks(range(len(shown)), [plain(people[one.track_id]) for one in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     half = max((float(frame_seconds(one.t).max(initial=0.0)) / 2.0 for one in found), default=0.0)
     axes.set_xlim(float(joined.min()) - max(half, 1e-3), float(joined.max()) + max(half, 1e-3))
@@ -167,21 +181,34 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
     return figure
 
 
-def plot_matrix(summary: LookSummary, order: Sequence[int] | None = None) -> Figure:
+def _is_dark(colour: str) -> bool:
+    """Return whether white text on a colour has more contrast than dark text (relative luminance)."""
+    red, green, blue = ((c / 255.0) ** 2.2 for c in rgb(colour))
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.18
+
+
+def named_targets(summary: LookSummary, people: Mapping[int, str]) -> list[str]:
+    """Return the names of the targets of a summary; ``people`` has those of the track ids."""
+    return [*(people[one] for one in summary.people), *summary.targets[len(summary.people) :]]
+
+
+def plot_matrix(summary: LookSummary, order: Sequence[int], people_names: Mapping[int, str]) -> Figure:
     """Draw the share of each person's time with gaze at each target, %; the last column is no target.
 
     Parameters
     ----------
-    order : ids of people, in which they stand; by default ascending. Of more than `MOST` the first.
+    order : ids of people, in which they stand. Of more than `MOST` the first.
+    people_names : track id → name
     """
-    people = list(summary.people if order is None else order)[:MOST]
+    people = list(order)[:MOST]
     rows = [summary.people.index(one) for one in people]
     places = [k for k, name in enumerate(summary.targets) if k >= len(summary.people)]
     columns = [*rows, *places]
     time = summary.matrix.sum(axis=1, keepdims=True)
     share = 100.0 * np.divide(summary.matrix, time, out=np.zeros_like(summary.matrix), where=time > 0.0)
     share = share[np.ix_(rows, columns)]
-    names = [summary.targets[k] for k in columns]
+    targets = named_targets(summary, people_names)
+    names = [plain(targets[k]) for k in columns]
     few = len(columns) <= _WRITTEN + 2
     size = 0.42 if few else 0.22
     figure = new_figure(size * len(columns) + 2.4, size * max(len(rows), 3) + 1.6)
@@ -197,7 +224,7 @@ def plot_matrix(summary: LookSummary, order: Sequence[int] | None = None) -> Fig
         if value >= 0.5:
             axes.annotate(f"{value:.0f}", (j, i), ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names)) > 3 else 0, fontsize=8)
-    axes.set_yticks(range(len(rows)), [str(one) for one in people], fontsize=8)
+    axes.set_yticks(range(len(rows)), [plain(people_names[one]) for one in people], fontsize=8)
     axes.axvline(len(columns) - 1.5, color="white", linewidth=3.0)
     axes.set(xlabel="at what", ylabel="who looks")
     axes.spines[:].set_visible(False)
@@ -250,7 +277,7 @@ def _draw_place(axes: Axes, place: Place) -> None:
     axes.add_patch(patch)
     above = place.outline[:, 1].max() + place.radius
     axes.annotate(
-        place.name,
+        plain(place.name),
         (place.centre[0], above),
         xytext=(0, 2),
         textcoords="offset points",

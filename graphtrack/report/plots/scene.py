@@ -26,6 +26,7 @@ from graphtrack.report.style import (
     new_figure,
     open_holes,
     person_dash,
+    plain,
     probability_ellipse,
     tidy,
 )
@@ -33,6 +34,7 @@ from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
+    from graphtrack.report.background import Background, GroundImage
     from graphtrack.report.sensors import ShownSensor
 
 MARKED_GAP = 3
@@ -64,6 +66,7 @@ def plot_tracks(
     *,
     arrow_interval: float | None = None,
     title: str = "",
+    background: Background | None = None,
 ) -> Figure:
     """Draw all paths from above, in metres with equal axes.
 
@@ -79,12 +82,20 @@ def plot_tracks(
 
     arrow_interval : seconds between arrows; by default about a dozen for each person, fewer in a crowd
     title : shown above the axes
+    background : a photo or a floor plan to draw under the paths
 
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        For a background that shows none of the paths.
     """
-    return plot_pairs(pair_tracks(estimates, observations), arrow_interval=arrow_interval, title=title)
+    pairs = pair_tracks(estimates, observations)
+    ground = None if background is None else background.on_ground([track.position for track in estimates])
+    return plot_pairs(pairs, arrow_interval=arrow_interval, title=title, background=ground)
 
 
 def plot_pairs(
@@ -93,10 +104,12 @@ def plot_pairs(
     arrow_interval: float | None = None,
     title: str = "",
     sensors: Sequence[ShownSensor] = (),
+    background: GroundImage | None = None,
 ) -> Figure:
     """`plot_tracks` of tracks that are already paired with their observations, with fields of view.
 
-    With ``sensors``, observations have the colours of their sensors.
+    With ``sensors``, observations have the colours of their sensors; with a ``background`` an image is under
+    the paths.
     """
     extent = _extent(pairs)
     span_x, span_y = extent[1] - extent[0]
@@ -117,6 +130,8 @@ def plot_pairs(
     if title:
         axes.set_title(title, loc="left", fontsize=11)
     tidy(axes)
+    if background is not None:
+        background.draw(axes)
     for one in sensors:
         if one.outline is not None:
             ring = np.vstack([one.outline, one.outline[:1]])
@@ -127,6 +142,7 @@ def plot_pairs(
         for index, pair in enumerate(pairs):
             _, x, y = open_holes(pair.estimate.t, *pair.estimate.position.T)
             axes.plot(x, y, color=person_colour(index), linewidth=0.6, alpha=0.6)
+        _name_some(axes, pairs, inch)
         return figure
     size = 1.0 if len(pairs) <= 8 else 0.65
     interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
@@ -303,7 +319,7 @@ def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
     axes.plot(x, y, "o", color=colour, markersize=4.5, markeredgecolor="white", zorder=3.5)
     box = {"boxstyle": "round,pad=0.18", "facecolor": "white", "edgecolor": colour, "alpha": 0.9}
     axes.annotate(
-        str(pair.estimate.track_id),
+        plain(pair.name),
         (x, y),
         xytext=(-5, -5),
         textcoords="offset points",
@@ -313,6 +329,23 @@ def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
         zorder=6,
         bbox=box,
     )
+
+
+def _name_some(axes: Axes, pairs: Sequence[Pair], inch: float) -> None:
+    """Write names at the ends of paths, each where it covers none that is there already."""
+    taken: list[tuple[float, float, float]] = []
+    high = 0.09 * inch  # metres of a letter's height on paper
+    for index, pair in enumerate(pairs):
+        placed = np.flatnonzero(finite_rows(pair.estimate.position))
+        if not len(placed):
+            continue
+        (x, y), name = pair.estimate.position[placed[-1]].tolist(), plain(pair.name)
+        wide = 0.6 * high * len(name)
+        if any(abs(x - u) < 0.5 * (wide + w) and abs(y - v) < high for u, v, w in taken):
+            continue
+        taken.append((x, y, wide))
+        colour = person_colour(index)
+        axes.annotate(name, (x, y), ha="center", va="center", fontsize=6, color=colour, zorder=6)
 
 
 def _legend(pairs: tuple[Pair, ...], enlarged: float) -> list[Line2D | Patch]:
@@ -351,7 +384,7 @@ def _legend(pairs: tuple[Pair, ...], enlarged: float) -> list[Line2D | Patch]:
         for i, pair in enumerate(pairs):
             handles.append(
                 _key(
-                    _short(pair.name),
+                    _short(pair.title),
                     color=person_colour(i),
                     linestyle=_line_style(person_dash(i)),
                     linewidth=1.8,
@@ -366,5 +399,5 @@ def _key(label: str, **style: Any) -> Line2D:
 
 def _short(name: str, width: int = 28) -> str:
     """A name on at most two lines of a legend."""
-    # A dollar would start mathematics in matplotlib.
-    return textwrap.fill(name, width, max_lines=2, placeholder=" …").replace("$", r"\$")
+    lines = textwrap.fill(name, width, max_lines=2, placeholder=" …")
+    return plain(lines, len(lines))
