@@ -183,6 +183,7 @@ def report(
     point_pairs: str | Path | None = None,
     calibration: str | Path | None = None,
     fps: float | None = None,
+    network: NetworkOptions | None = None,
     adapt: bool = True,
     method: Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"] = "smoother",
     person_height: float = 1.7,
@@ -193,7 +194,7 @@ def report(
 
     Parameters
     ----------
-    video, boxes, boxes_first_frame, homography, point_pairs, calibration, fps : as of `observe`;
+    video, boxes, boxes_first_frame, homography, point_pairs, calibration, fps, network : as of `observe`;
         without a camera its view is estimated from the boxes
     output : folder to write or to continue
     adapt : fit the camera's own models of body and head first
@@ -217,6 +218,7 @@ def report(
         Path(video),
         Path(output),
         _camera(homography, point_pairs, calibration, fps),
+        network or NetworkOptions(),
         boxes=_path(boxes),
         boxes_first_frame=boxes_first_frame,
         adapt=adapt,

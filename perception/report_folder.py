@@ -37,6 +37,8 @@ from perception.storage import key_of
 
 STAGES = "stages.json"
 """Completed stages and their messages."""
+RECORDING = "recording.mkv"
+"""Recording of a live source."""
 FIGURES = "figures"
 """Folder of figures, if they are asked for."""
 TRACKS = "tracks.csv"
@@ -44,6 +46,7 @@ TRACKS = "tracks.csv"
 
 FILES = {
     "boxes": "boxes.txt",
+    "keypoints": "keypoints.json",
     "calibration": "calibration.ci",
     "models": "camera.npz",
     "observations": "observations.csv",

@@ -225,7 +225,7 @@ def adapt(
     outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
     for source in sources:
         check_output_paths(outputs, None, source, inputs)
-    on_ground = camera.on_ground()
+    on_ground = camera.on_ground(lambda line: emit(f"  note: {line}"))
     if on_ground is None:
         raise InputError(
             "no camera", "--calibration or --homography: directions of travel are measured on the ground"
@@ -240,7 +240,7 @@ def adapt(
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, output_paths, given, strict=True):
             clock = camera.clock(frames)
-            people = read_given_boxes(of_recording, frames, None, refuse)
+            people = read_given_boxes(of_recording, frames.first, None, refuse)
             if people is None:
                 search = PeopleSearch(frames, on_ground, clock, place)
                 people, _ = searches.enter_context(search.people(refuse))

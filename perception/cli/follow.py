@@ -23,7 +23,9 @@ from perception.cli.options import (
     Reports,
     VideoOrFolder,
     check_output_paths,
+    damage_note,
     in_time,
+    rate_note,
     report_camera,
     report_skipped,
     report_written,
@@ -126,6 +128,7 @@ def follow_target(
     from graphtrack.tracks.track import ReadSummary
     from perception.drawing.people import draw
     from perception.following import run as following
+    from perception.ground.inspection import FrameInspection
     from perception.images.frames import FrameSource
     from perception.images.pixels import pictures
     from perception.observation.tables import Observations
@@ -134,7 +137,8 @@ def follow_target(
     never = {f"--background {p}": p for given in background for p in FrameSource.files(given)}
     check_output_paths({"--output": output}, render, source, {**camera.files, **never})
     frames = FrameSource.open(source)
-    clock, ground = camera.clock(frames), camera.on_ground()
+    clock = camera.clock(frames)
+    ground = camera.on_ground(lambda line: reports.emit(f"  note: {line}"))
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
@@ -149,6 +153,7 @@ def follow_target(
         return GraphGuide(on_ground(first), follower.pan_classes, clock=clock)
 
     refused: list[str] = []
+    inspection = FrameInspection()
     with (
         reports.progress(frames.count, "frames") as advance,
         nullcontext() if render is None else pictures(render, clock.rate) as picture,
@@ -156,6 +161,7 @@ def follow_target(
         begun = time.perf_counter()
 
         def show(number: int, image: Image, estimate: BoxEstimate) -> None:
+            inspection.add(number, image, float(clock.seconds(number)))
             if picture is not None:
                 picture(number, draw(image, number, estimate, follower.pan_classes))
 
@@ -171,7 +177,9 @@ def follow_target(
         seconds = time.perf_counter() - begun
         first = next(item.estimate.box for item in found if item.estimate.found)
         track = following.to_track(found, on_ground(first), follower.pan_classes, clock)
-        table, notes = following.box_table(found, track), following.notes(found, track)
+        table = following.box_table(found, track)
+        notes = [*following.notes(found, track), *rate_note(frames, clock, camera.fps)]
+        notes += [*inspection.notes(), *damage_note(frames)]
         if output is not None:
             write_table(table, output)
     report_skipped(refused, reports)

@@ -23,11 +23,15 @@ from perception.cli.options import (
     CameraOptions,
     FirstFrame,
     MotionOptions,
+    Reconnect,
     Render,
     Reports,
-    VideoOrFolder,
+    VideoOrLive,
     check_output_paths,
+    damage_note,
     in_time,
+    notes_on_frames,
+    rate_note,
     read_given_boxes,
     report_camera,
     report_skipped,
@@ -39,7 +43,6 @@ from perception.cli.searching import (
     NetworkOptions,
     OwnNetworks,
     PeopleSearch,
-    find_keypoints,
     ground_search,
     look_at_people,
     search_journals,
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
     from perception.detection.yolo import YoloNetwork
     from perception.ground.views import Ground, MovingCamera
     from perception.images.frames import FrameSource
+    from perception.images.live import LiveFrames, LiveSource
     from perception.images.pixels import Image
     from perception.observation.live import LiveObserver
     from perception.observation.pipeline import FrameObservation, Models
@@ -121,7 +125,7 @@ class ModelOptions:
 
 
 def observe(
-    source: VideoOrFolder,
+    source: VideoOrLive,
     output: options.OutputPath,
     camera: CameraOptions,
     motion: MotionOptions,
@@ -133,13 +137,14 @@ def observe(
     render: Render = None,
     causal: Annotated[bool, typer.Option("--causal")] = False,
     appearance: bool | None = None,
+    reconnect: Reconnect = 60.0,
 ) -> None:
     """Detect people and estimate their positions and body and head orientation, frame by frame.
 
     Boxes without identities, such as detections, give rows with id -1: `graphtrack smooth` associates them
     to tracks.
 
-    An interrupted run continues when it is called again with the same options.
+    An interrupted run continues when it is called again with the same options. A live source needs -o -.
 
     Parameters
     ----------
@@ -150,8 +155,10 @@ def observe(
     appearance : Write appearance descriptors (appearance_0 ...), which distinguish people; on for boxes
         without identities, else off.
     """
+    from perception.images.live import LiveSource
+
     job = ObserveJob(
-        source,
+        LiveSource.of(source) or Path(source),
         output,
         camera,
         motion,
@@ -164,6 +171,7 @@ def observe(
         causal=causal,
         appearance=appearance,
         reports=PRINTED,
+        reconnect=reconnect,
     )
     with input_warnings_as_notes():
         if job.is_streamed:
@@ -176,7 +184,7 @@ def observe(
 class _Opened:
     """A recording with what its options name, opened and checked."""
 
-    frames: FrameSource
+    frames: FrameSource | LiveFrames
     networks: OwnNetworks
     people: list[PersonBox] | None  # given boxes
     identified: bool  # whether these have identities
@@ -184,12 +192,20 @@ class _Opened:
     moving: MovingCamera | PosePath | None  # None: still, or followed
     refused: dict[str, None]  # reasons; undecodable frames may be reported twice
 
+    @property
+    def recording(self) -> FrameSource:
+        """Return the frames, which are not live."""
+        from perception.images.frames import FrameSource
+
+        assert isinstance(self.frames, FrameSource)
+        return self.frames
+
 
 @dataclass(frozen=True, eq=False)
 class ObserveJob:
     """A call of `observe`, from the shell or from Python; ``output`` None: no file is written."""
 
-    source: Path
+    source: Path | LiveSource
     output: Path | None
     camera: CameraOptions
     motion: MotionOptions
@@ -203,26 +219,31 @@ class ObserveJob:
     causal: bool
     appearance: bool | None
     reports: Reports
+    reconnect: float = 60.0
 
     @property
     def is_streamed(self) -> bool:
         """Return True if rows go to standard output."""
         return str(self.output) == "-"
 
-    def _open(self) -> _Opened:
-        """Open the recording and what the options name; options that exclude each other are refused."""
+    def _open(self, unfinished: ExitStack) -> _Opened:
+        """Open the recording and what the options name; options that exclude each other are refused.
+
+        A connection to a live source ends with the context ``unfinished``.
+        """
         from graphtrack.io.read_write import check_table_name
         from perception.images.frames import FrameSource
+        from perception.images.live import LiveFrames
 
         camera, network, model, boxes = self.camera, self.network, self.model, self.boxes
         model.check(network.keypoints)
         self.motion.check(camera, streamed=self.is_streamed, adapt=model.adapt)
-        for name, path in (("--detector", network.detector), ("--write-boxes", self.write_boxes_to)):
-            if boxes is not None and path is not None:
-                raise InputError(f"{name} with --boxes", "one of them: given boxes are not detected")
+        if boxes is not None:
+            detecting = {"--detector": network.detector, "--write-boxes": self.write_boxes_to}
+            options.refuse(detecting, "with --boxes", "one of them: given boxes are not detected")
         if model.adapt:
             given_models = (*model.parts, model.camera_models, network.keypoints)
-            check_adapt(self.is_streamed, camera.homography or camera.calibration, given_models)
+            check_adapt(self.is_streamed, camera.given, given_models)
         written = {"--write-boxes": self.write_boxes_to, "--render": self.render}
         if self.is_streamed:
             options.refuse(written, "with -o -", "a file as the output: rows are written frame by frame")
@@ -240,24 +261,41 @@ class ObserveJob:
             **model.files,
             **network.files,
         }
-        check_output_paths(outputs, self.render, self.source, inputs, table=output)
-        frames = FrameSource.open(self.source)
+        if isinstance(self.source, Path):
+            check_output_paths(outputs, self.render, self.source, inputs, table=output)
+            frames: FrameSource | LiveFrames = FrameSource.open(self.source)
+        else:
+            self._check_live(self.source)
+            live = LiveFrames(self.source, reconnect=self.reconnect, report=self.reports.emit)
+            frames = unfinished.enter_context(live)
         refused: dict[str, None] = {}
         moving = self._moving(frames)
         networks = network.load(frames)
-        people = read_given_boxes(boxes, frames, self.boxes_first_frame, refused.setdefault, self.reports)
+        first, note = self.boxes_first_frame, self.reports
+        people = read_given_boxes(boxes, frames.first, first, refused.setdefault, note)
         identified = people is not None and (not people or people[0].identified)
         if output is not None and not identified:
             check_table_name(output)
         with_appearance = not identified if self.appearance is None else self.appearance
         models = model.load(appearance=with_appearance, has_keypoints=networks.has_keypoints)
-        models = models.seeing(camera.on_ground(), frames.size)
+        ground = camera.on_ground(lambda line: self.reports.emit(f"  note: {line}"))
+        models = models.seeing(ground, frames.size)
         if self.motion.follow_camera and models.view is not None:
             found = "--follow-camera with a view in which people lean in the image"
             raise InputError(found, "a view in which they are upright")
         return _Opened(frames, networks, people, identified, models, moving, refused)
 
-    def _moving(self, frames: FrameSource) -> MovingCamera | PosePath | None:
+    def _check_live(self, source: LiveSource) -> None:
+        """Refuse what needs a recording."""
+        if not self.is_streamed:
+            expected = "-o - for rows as they come, or perception report --live"
+            raise InputError(f"{source.name} with -o {self.output}", expected)
+        points = self.network.keypoints
+        of_files = points if points is not None and points.suffix.lower() != ".onnx" else None
+        given = {"--boxes": self.boxes, "--keypoints": of_files, "--homographies": self.motion.homographies}
+        options.refuse(given, f"with {source.name}", "a recording, whose frames have numbers")
+
+    def _moving(self, frames: FrameSource | LiveFrames) -> MovingCamera | PosePath | None:
         """Read the homographies or poses of a camera that moves."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_homographies
@@ -285,26 +323,36 @@ class ObserveJob:
         from graphtrack.geometry.poses import PosePath
         from perception.ground.camera_motion import CameraFollower
         from perception.ground.views import DECLARED
+        from perception.images.live import LiveFrames
         from perception.observation.live import LiveObserver
 
-        opened = self._open()
-        camera, moving = self.camera.on_ground(), opened.moving
-        assert not isinstance(moving, PosePath)  # refused
-        observer = LiveObserver(
-            opened.models,
-            camera if moving is None else moving,
-            self.camera.clock(opened.frames),
-            identified=opened.identified,
-            follower=CameraFollower(camera) if self.motion.follow_camera else None,
-        )
-        _stream(opened.frames, opened.people, self.searched_camera, observer, opened.refused, opened.networks)
-        if self.motion.follow_camera:
-            PRINTED.emit(f"  note: {DECLARED}")
+        with ExitStack() as unfinished:
+            opened = self._open(unfinished)
+            camera, moving, clock = self.camera.on_ground(), opened.moving, self.camera.clock(opened.frames)
+            assert not isinstance(moving, PosePath)  # refused
+            observer = LiveObserver(
+                opened.models,
+                camera if moving is None else moving,
+                clock,
+                identified=opened.identified,
+                follower=CameraFollower(camera) if self.motion.follow_camera else None,
+            )
+            view, moves = self.searched_camera, self.motion.moves
+            _stream(
+                opened.frames, opened.people, view, observer, opened.refused, opened.networks, moves=moves
+            )
+            notes = damage_note(opened.frames)
+            if not isinstance(opened.frames, LiveFrames):
+                notes += rate_note(opened.frames, clock, self.camera.fps)
+            if self.motion.follow_camera:
+                notes.append(DECLARED)
+            for line in notes:
+                PRINTED.emit(f"  note: {line}")
 
     def run(self) -> Observations:
         """Return the observations, and write them to the output."""
-        opened = self._open()
-        with TemporaryDirectory() as folder:
+        with TemporaryDirectory() as folder, ExitStack() as unfinished:
+            opened = self._open(unfinished)
             place = Path(folder) / "observations" if self.output is None else self.output
             return _observed(self, opened, place)
 
@@ -318,44 +366,37 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     """Detect and observe people, and write the table, if asked for; journals are kept next to ``place``."""
     from graphtrack.io.read_write import write, write_table
     from graphtrack.tracks.track import ReadSummary, to_columns
-    from perception.detection.boxes import FrameDetections, write_boxes
+    from perception.detection.boxes import write_boxes
     from perception.images.pixels import is_video
     from perception.observation.journal import FrameJournal, while_unfinished
     from perception.observation.pipeline import FrameObservation
     from perception.observation.tables import Observations, to_detections, to_tracks
 
-    frames, people, models, networks = opened.frames, opened.people, opened.models, opened.networks
+    people, models, networks = opened.people, opened.models, opened.networks
+    frames = opened.recording
     identified, refused, reports = opened.identified, opened.refused, job.reports
     output, render, causal, chosen = job.output, job.render, job.causal, job.model
     refuse, given = refused.setdefault, people is not None
     camera, clock = job.camera.on_ground(), job.camera.clock(frames)
-    points_place, frames_place, models_place = _output_paths(place)
+    _, frames_place, models_place = _output_paths(place)
     one_size = job.motion.follow_camera or (render is not None and is_video(render))
-    searched: frozenset[int] = frozenset()
+    known = () if people is None and networks.known is not None else people
+    notes = notes_on_frames(frames, clock, known, reports, fps=job.camera.fps, moves=job.motion.moves)
     with ExitStack() as unfinished:
-        if people is None and not networks.makes_boxes:  # else boxes follow from keypoints
-            asked, view = (networks.asked,), job.searched_camera
-            detector, alone = networks.detector, causal or job.motion.moves  # a background moves
-            search = PeopleSearch(frames, view, clock, place, asked, alone, one_size, detector, reports)
-            people, searched = unfinished.enter_context(search.people(refuse))
-        if networks.has_keypoints:
-            key = key_of(frames.stamp(), networks.asked)
-            points = unfinished.enter_context(FrameJournal(points_place, key, FrameDetections))
-            people = find_keypoints(
-                frames, networks, people, points, refuse, one_size=one_size, reports=reports
-            )
-            searched |= frozenset(points)
-        assert people is not None
+        asked, view = (networks.asked,), job.searched_camera
+        alone = causal or job.motion.moves  # a background moves
+        search = PeopleSearch(frames, view, clock, place, asked, alone, one_size, networks.detector, reports)
+        people, searched = unfinished.enter_context(search.with_keypoints(networks, people, refuse))
         if job.write_boxes_to is not None:
             write_boxes(people, job.write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
         if chosen.adapt and camera is not None:
             unfinished.enter_context(while_unfinished(models_place))
             own = [key_of(frames.stamp(), clock, people, stamp_of_camera(camera))]
-            of_camera, _ = adapt_models(
+            fitted, _ = adapt_models(
                 models_place, str(own[0]), frames, people, camera, clock, refuse, reports=reports
             )
-            models = replace(models, of_camera=of_camera).seeing(camera, frames.size)
+            models = replace(models, of_camera=fitted).seeing(camera, frames.size)
         looked = time.perf_counter()
         leaning = None if models.view is None else stamp_of_camera(camera)
         asked_of = (chosen.head_pose, own, people, models.appearance, networks.has_keypoints, leaning)
@@ -367,7 +408,8 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
             frames, people, models, journal, refuse, empty, one_size=one_size, reports=reports
         )
         seconds = time.perf_counter() - looked
-        ground, notes = _ground(job, opened, people, journal)
+        ground, of_camera = _ground(job, opened, people, journal)
+        notes += [*of_camera, *damage_note(frames)]
         frames_observed = journal, models.head_classes, ground, clock
         drawn = identified or render is not None
         observed = to_tracks(*frames_observed, causal=causal) if drawn else None
@@ -406,7 +448,7 @@ def _ground(
     from perception.ground.views import DECLARED, carried_views, followed_views
     from perception.observation.tables import scaled_camera
 
-    frames, camera, motion, moving = opened.frames, job.camera.on_ground(), job.motion, opened.moving
+    frames, camera, motion, moving = opened.recording, job.camera.on_ground(), job.motion, opened.moving
     if isinstance(moving, PosePath):
         assert camera is not None
         numbers = [number for number, known in observed.items() if known.people]
@@ -425,21 +467,28 @@ def _ground(
 
 
 def _stream(
-    frames: FrameSource,
+    frames: FrameSource | LiveFrames,
     boxes: list[PersonBox] | None,
     camera: GroundCamera | None,
     observer: LiveObserver,
     refused: dict[str, None],
     networks: OwnNetworks,
+    *,
+    moves: bool,
 ) -> None:
     """Write the rows of each frame as soon as it is observed; report skipped input at the end.
 
-    ``camera``: as `ObserveJob.searched_camera`
+    Parameters
+    ----------
+    camera : as `ObserveJob.searched_camera`
+    moves : whether the camera is known to move
     """
     from graphtrack.streaming.session import give
     from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
     from perception.detection.hog import PeopleDetector
     from perception.detection.rescoring import PersonProbability
+    from perception.ground.inspection import FrameInspection
+    from perception.images.frames import seconds
 
     given = boxes_by_frame(boxes or ())
     detector: YoloNetwork | PeopleDetector | None = networks.detector
@@ -465,15 +514,19 @@ def _stream(
             people = boxes_of({number: detected(image)})
         return people if looked is None else with_keypoints(people, looked)
 
+    inspection = FrameInspection()
     for frame in frames:
         if frame.image is None:
             refused.setdefault(frame.reason)
             continue
         people = people_in(frame.number, frame.image)
+        inspection.add(frame.number, frame.image, float(seconds(frame.number, observer.clock)), people)
         for row in observer.rows(frame.image, frame.number, people, refused.setdefault):
             give(row)
     report_skipped(refused)
     report_camera(observer.ground, PRINTED)
+    for line in inspection.notes(moves=moves):
+        PRINTED.emit(f"  note: {line}")
 
 
 def _render(

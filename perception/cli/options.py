@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import typer
 
 from graphtrack.cli import options
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
     from perception.images.frames import Clock, FrameSource, Progress
+    from perception.images.live import LiveFrames
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,21 @@ _FPS = 25.0
 
 VideoOrFolder = Annotated[
     Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
+]
+VideoOrLive = Annotated[
+    str,
+    typer.Argument(
+        help="A video, a folder of images, or a live source: a webcam (0, /dev/video0), an address "
+        "(rtsp://, http:// ...), a FIFO, or - for standard input.",
+        metavar="VIDEO|FOLDER|LIVE",
+    ),
+]
+Reconnect = Annotated[
+    float,
+    typer.Option(
+        help="Seconds for which a lost connection to a live source is tried again; 0: it is the end.",
+        min=0.0,
+    ),
 ]
 Boxes = Annotated[
     Path | None,
@@ -87,30 +104,81 @@ class CameraOptions:
             "--calibration": self.calibration,
         }
 
-    def clock(self, frames: FrameSource) -> Clock:
+    @property
+    def given(self) -> Path | None:
+        """Return the file of the camera, if any."""
+        return self.homography or self.calibration or self.point_pairs
+
+    def clock(self, frames: FrameSource | LiveFrames) -> Clock:
         """Return the times of frames, from the requested rate or else from the video."""
         from perception.images.frames import Clock
 
         return Clock(self.fps) if self.fps is not None else frames.clock(frames.fps or _FPS)
 
-    def on_ground(self) -> GroundCamera | None:
-        """Return the camera; None without options."""
-        from graphtrack.geometry.camera import GroundCamera
-        from graphtrack.io.cameras import camera_of_point_pairs, read_calibration, read_homography
+    def on_ground(self, note: Callable[[str], object] = lambda line: None) -> GroundCamera | None:
+        """Return the camera; None without options. ``note`` receives the error of a fit to point pairs."""
+        from graphtrack.io.cameras import known_camera
+        from graphtrack.io.options import ReadOptions
 
-        given = [name for name, path in self.files.items() if path is not None]
+        given = {name: path for name, path in self.files.items() if path is not None}
         if len(given) > 1:
             raise InputError(" and ".join(given), "one of them")
-        if self.point_pairs is not None:
-            camera, notes = camera_of_point_pairs(self.point_pairs)
-            for note in notes:
-                emit(f"  note: {note}")
-            return camera
-        if self.calibration is not None:
-            return read_calibration(self.calibration)
-        if self.homography is None:
-            return None
-        return GroundCamera.from_homography(read_homography(self.homography))
+        pairs, homography, calibration = self.point_pairs, self.homography, self.calibration
+        reading = ReadOptions(point_pairs=pairs, homography=homography, calibration=calibration)
+        camera, notes = known_camera(reading, np.empty((0, 2)))
+        for line in notes:
+            note(line)
+        return camera
+
+
+def notes_on_frames(
+    frames: FrameSource,
+    clock: Clock,
+    people: Iterable[PersonBox] | None,
+    reports: Reports,
+    *,
+    fps: float | None,
+    moves: bool = False,
+) -> list[str]:
+    """Inspect a recording; return notes on an assumed rate, on its pictures, and on a camera that moves.
+
+    Parameters
+    ----------
+    people : known ones, whose boxes are no background; None: people are searched for
+    fps : the requested rate; None: the recording's
+    moves : whether the camera is known to move
+
+    Raises
+    ------
+    InputError
+        If the recording shows nothing in which people can be searched for.
+    """
+    from perception.ground.inspection import inspected
+
+    found = inspected(frames, clock, people or (), reports.progress)
+    if people is None and found.nothing_shown:
+        expected = "a video that shows something; this one is empty, or decoded wrongly"
+        nothing = f"a recording without people: one colour in all {found.count} inspected frames"
+        raise InputError(nothing, expected, path=frames.path)
+    return [*rate_note(frames, clock, fps), *found.notes(moves=moves)]
+
+
+def rate_note(frames: FrameSource, clock: Clock, fps: float | None) -> list[str]:
+    """Return a note on a rate that is assumed; none if it is requested or known."""
+    if fps is not None or frames.fps is not None:
+        return []
+    what = "a folder of images" if frames.path.is_dir() else "the video"
+    return [f"{clock.rate:g} frames a second are assumed: {what} gives no rate (--fps)"]
+
+
+def damage_note(frames: FrameSource | LiveFrames) -> list[str]:
+    """Return a note on frames whose errors the decoder concealed, in the passes so far."""
+    if not frames.damaged:
+        return []
+    return [
+        f"{counted(len(frames.damaged), 'frame')} damaged (bit errors), such as frame {min(frames.damaged)}: "
+        "the decoder fills in what is missing, there and until the next key frame"
+    ]
 
 
 @dataclass(frozen=True)
@@ -186,14 +254,17 @@ class MotionOptions:
 
 def read_given_boxes(
     boxes: Path | None,
-    frames: FrameSource,
+    first: int,
     named: int | None,
     refuse: Callable[[str], object],
     reports: Reports = PRINTED,
 ) -> list[PersonBox] | None:
     """Read the boxes of a recording, if any, and emit a note on how their frame numbers are matched.
 
-    ``named``: number of the recording's first frame in the file; None: see `read_boxes`
+    Parameters
+    ----------
+    first : number of the recording's first frame
+    named : the same in the file; None: see `read_boxes`
     """
     from perception.detection.boxes import read_boxes
 
@@ -202,7 +273,7 @@ def read_given_boxes(
             raise InputError("--boxes-first-frame without --boxes", "both, or neither")
         return None
     return read_boxes(
-        boxes, refuse, first=frames.first, named=named, note=lambda line: reports.emit(f"  note: {line}")
+        boxes, refuse, first=first, named=named, note=lambda line: reports.emit(f"  note: {line}")
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,13 +21,17 @@ from perception.cli.options import (
     Boxes,
     CameraOptions,
     FirstFrame,
+    Reconnect,
     Reports,
-    VideoOrFolder,
+    VideoOrLive,
+    damage_note,
+    notes_on_frames,
     read_given_boxes,
     skipped,
+    stamp_of,
     stamp_of_camera,
 )
-from perception.cli.searching import PeopleSearch, look_at_people
+from perception.cli.searching import NetworkOptions, OwnNetworks, PeopleSearch, look_at_people
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -38,9 +44,10 @@ _STAGES = 7
 
 
 def report(
-    source: VideoOrFolder,
+    source: VideoOrLive,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER")],
     camera: CameraOptions,
+    network: NetworkOptions,
     showing: options.Showing,
     boxes: Boxes = None,
     boxes_first_frame: FirstFrame = None,
@@ -50,6 +57,9 @@ def report(
     seed: options.Seed = 0,
     figures: Annotated[bool, typer.Option("--figures")] = False,
     view: bool = False,
+    live: Annotated[bool, typer.Option("--live")] = False,
+    record_seconds: Annotated[float | None, typer.Option(min=0.1)] = None,
+    reconnect: Reconnect = 60.0,
 ) -> None:
     """Detect, track and smooth people in one call: a table, an annotated video and a page.
 
@@ -65,15 +75,21 @@ def report(
         offline. chain, isam2, fixed-lag: the graph, online.
     figures : Write the figures of the page, and of up to 12 people, as SVG and PDF into its folder figures.
     view : Show the result in Rerun.
+    live : Record a live source into the folder first (recording.mkv), until Ctrl-C or its end.
+    record_seconds : With --live: length of the recording.
     """
     if view:
         showing.target()
     elif showing.save is not None or showing.connect is not None:
         raise InputError("--save" if showing.connect is None else "--connect", "--view with it")
+    recording = Path(source) if not live else record_live(source, output, record_seconds, reconnect, PRINTED)
+    if not live and record_seconds is not None:
+        raise InputError("--record-seconds without --live", "both, or neither")
     run = report_folder(
-        source,
+        recording,
         output,
         camera,
+        network,
         boxes=boxes,
         boxes_first_frame=boxes_first_frame,
         adapt=adapt,
@@ -88,10 +104,45 @@ def report(
         run.view(showing)
 
 
+def record_live(source: str, output: Path, seconds: float | None, reconnect: float, reports: Reports) -> Path:
+    """Record a live source into the folder of a new report; return the recording.
+
+    Raises
+    ------
+    InputError
+        If it is no live source, gives no frame, or the folder has a recording.
+    """
+    from perception.images.live import LiveFrames, LiveSource, record
+    from perception.report_folder import RECORDING, ReportFolder
+
+    address = LiveSource.of(source)
+    if address is None:
+        expected = "a webcam (0), an address such as rtsp://..., a FIFO, or -"
+        raise InputError(f"--live with {source}", expected)
+    folder = ReportFolder(output, _STAGES, reports.emit)
+    recording = output / RECORDING
+    if recording.exists():
+        expected = f"another folder, or `perception report {recording} -o {output}` to go on with it"
+        raise InputError("a folder with a recording", expected, path=output)
+    with LiveFrames(address, reconnect=reconnect, report=reports.emit) as frames:
+        is_new = not output.exists()
+        folder.open()
+        reports.emit(f"recording {address.name}" + ("" if seconds else "; Ctrl-C ends it"))
+        try:
+            count = record(frames, recording, seconds)
+        except InputError:
+            if is_new and not frames.received:
+                shutil.rmtree(output)
+            raise
+        reports.emit(f"recorded {counted(count, 'frame')}: {frames.state()}")
+    return recording
+
+
 def report_folder(
     source: Path,
     output: Path,
     camera: CameraOptions,
+    network: NetworkOptions,
     *,
     boxes: Path | None,
     boxes_first_frame: int | None,
@@ -114,21 +165,28 @@ def report_folder(
         "the input": FrameSource.files(source),
         "--boxes": boxes,
         **camera.files,
+        **network.files,
     }
+    if boxes is not None:
+        detecting = {"--detector": network.detector}
+        options.refuse(detecting, "with --boxes", "one of them: given boxes are not detected")
     written = [output / name for name in (*FILES.values(), STAGES)]
     check_distinct({"--output": written, "--save": other_output}, inputs, to_make=[output])
     frames = FrameSource.open(source)
-    known = camera.on_ground()
+    fitted: list[str] = []
+    known = camera.on_ground(fitted.append)
     if known is not None:
         check_camera(known, frames.size())
+    networks = network.load(frames)
     refused: dict[str, None] = {}
-    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault, reports)
+    given = read_given_boxes(boxes, frames.first, boxes_first_frame, refused.setdefault, reports)
     folder = ReportFolder(output, _STAGES, reports.emit)
     folder.open()
-    run = _Run(folder, frames, camera.clock(frames), known, person_height, seed, reports)
+    run = _Run(folder, frames, camera.clock(frames), known, networks, person_height, seed, reports)
     run.assumed.append(_of_rate(frames, run.clock, camera.fps))
-    run.find_people(boxes, given, list(refused))
-    run.find_ground(camera.calibration or camera.point_pairs or camera.homography)
+    points = network.files["--keypoints"]
+    run.find_people(boxes, given, list(refused), points if isinstance(points, list) else [points])
+    run.find_ground(camera.given, fitted)
     run.adapt_models(adapt)
     run.observe()
     run.estimate(method)
@@ -162,6 +220,7 @@ class _Run:
     frames: FrameSource
     clock: Clock
     known: GroundCamera | None
+    networks: OwnNetworks
     person_height: float
     seed: int
     reports: Reports
@@ -170,28 +229,55 @@ class _Run:
     to_scale: bool = False
     assumed: list[str] = field(default_factory=list)
 
-    def find_people(self, boxes: Path | None, given: list[PersonBox] | None, left_out: list[str]) -> None:
-        """Stage 1: boxes, detected or ``given`` by a file, without the rows ``left_out``."""
+    def find_people(
+        self,
+        boxes: Path | None,
+        given: list[PersonBox] | None,
+        left_out: list[str],
+        keypoints: Sequence[Path | None],
+    ) -> None:
+        """Stage 1: boxes, detected or ``given`` by a file, without the rows ``left_out``; and keypoints."""
         from perception.detection.boxes import read_boxes, write_boxes
+        from perception.detection.keypoint_files import keypoints_by_box, write_keypoints
 
-        detected = self.folder.file("boxes")
+        detected, points = self.folder.file("boxes"), self.folder.file("keypoints")
+        networks = self.networks
 
         def work(key: str) -> list[str]:
-            refused: dict[str, None] = {}
-            if given is not None:
-                detected.unlink(missing_ok=True)
-                return [f"{len(given)} boxes of {boxes}", *skipped(dict.fromkeys(left_out))]
-            search = PeopleSearch(self.frames, self.known, self.clock, detected, reports=self.reports)
-            with search.people(refused.setdefault) as (found, _):
+            known = () if given is None and networks.known is not None else given
+            notes = notes_on_frames(self.frames, self.clock, known, self.reports, fps=self.clock.rate)
+            for path in (detected, points):
+                path.unlink(missing_ok=True)
+            refused = dict.fromkeys(left_out)
+            asked, own = (networks.asked,), networks.detector
+            search = PeopleSearch(
+                self.frames, self.known, self.clock, detected, asked, detector=own, reports=self.reports
+            )
+            with search.with_keypoints(networks, given, refused.setdefault) as (found, _):
                 if not found:
                     nobody = "a recording without detections of people"
                     raise InputError(nobody, "people, or their boxes (--boxes)")
-                write_boxes(found, detected, first=self.frames.first)
-            return [f"{len(found)} detected boxes of people", *skipped(refused)]
+                if given is None:
+                    write_boxes(found, detected, first=self.frames.first)
+                if networks.has_keypoints:
+                    write_keypoints(found, points)
+            what = (
+                f"{len(found)} detected boxes of people"
+                if given is None
+                else f"{len(given)} boxes of {boxes}"
+            )
+            if networks.has_keypoints:
+                count = sum(item.keypoints is not None for item in found)
+                what += f"; keypoints of {count} of them give body and head"
+            return [what, *skipped(refused), *notes, *damage_note(self.frames)]
 
-        asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given
-        self.assumed += self.folder.stage("people", asked, () if given else ("boxes",), work)
+        files = [stamp_of(path) for path in keypoints]
+        asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given, networks.asked, files
+        outputs = [*([] if given else ["boxes"]), *(["keypoints"] if networks.has_keypoints else [])]
+        self.assumed += self.folder.stage("people", asked, outputs, work)
         self.people = read_boxes(detected) if given is None else given
+        if networks.has_keypoints:
+            self.people = keypoints_by_box(self.people, points)
         if not self.people:
             raise InputError("no boxes of people", "at least one person", path=boxes)
         if not self.people[0].identified:
@@ -199,8 +285,8 @@ class _Run:
                 "the boxes have no identities: they are associated to tracks, with possible errors"
             )
 
-    def find_ground(self, given: Path | None) -> None:
-        """Stage 2: the camera, given or estimated."""
+    def find_ground(self, given: Path | None, fitted: Sequence[str]) -> None:
+        """Stage 2: the camera, given (with notes on how it was ``fitted``) or estimated."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
         from perception.ground.calibration import ViewUnknown, found_view
@@ -210,7 +296,7 @@ class _Run:
         def work(key: str) -> list[str]:
             place.unlink(missing_ok=True)
             if self.known is not None:
-                return [f"the camera is that of {given}"]
+                return [f"the camera is that of {given}", *fitted]
             rng = np.random.default_rng(self.seed)
             try:
                 found = found_view(self.people, self.frames.size(), rng, self.person_height)
@@ -242,6 +328,9 @@ class _Run:
             assert self.camera is not None
             refused: dict[str, None] = {}
             summary = "no models of the camera's own are fitted, the package's models are used"
+            if self.networks.has_keypoints:
+                place.unlink(missing_ok=True)
+                return []
             if not adapt or self.to_scale:
                 place.unlink(missing_ok=True)
                 return [f"{summary}: {'as asked' if not adapt else 'no ground is known'}"]
@@ -276,7 +365,7 @@ class _Run:
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
             chosen = ModelOptions(camera_models=own_models if own_models.is_file() else None)
-            models = chosen.load(appearance=not identified, has_keypoints=False)
+            models = chosen.load(appearance=not identified, has_keypoints=self.networks.has_keypoints)
             models = models.seeing(self.camera, self.frames.size)
             with FrameJournal(place.with_name(f"{place.name}.journal"), key, FrameObservation) as journal:
                 look_at_people(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from perception.detection.rescoring import PersonProbability
     from perception.detection.yolo import YoloNetwork
     from perception.images.frames import Clock, Frame, FrameSource
+    from perception.images.live import LiveFrames
     from perception.images.pixels import Image
     from perception.observation.journal import FrameJournal
     from perception.observation.pipeline import FrameObservation, Models
@@ -96,7 +97,7 @@ class NetworkOptions:
             points = sorted(self.keypoints.glob("*.json"))
         return {"--detector": self.detector, "--keypoints": points}
 
-    def load(self, frames: FrameSource) -> OwnNetworks:
+    def load(self, frames: FrameSource | LiveFrames) -> OwnNetworks:
         """Load the networks and keypoints."""
         from perception.detection.keypoint_files import read_keypoints
         from perception.detection.yolo import YoloNetwork
@@ -249,6 +250,11 @@ def search_journals(output: Path) -> list[Path]:
     return [output.with_name(f"{output.name}.{name}") for name in ("detections", "adapted")]
 
 
+def keypoints_journal(output: Path) -> Path:
+    """Return the journal of keypoints next to an output."""
+    return output.with_name(f"{output.name}.keypoints")
+
+
 @dataclass(frozen=True, eq=False)
 class PeopleSearch:
     """Search for people in a recording.
@@ -313,6 +319,33 @@ class PeopleSearch:
                 f"{spent:.2f} s of processor time each"
             )
             yield boxes_of(journal), frozenset(journal)
+
+    @contextmanager
+    def with_keypoints(
+        self, networks: OwnNetworks, given: list[PersonBox] | None, refuse: Refuse
+    ) -> Iterator[tuple[list[PersonBox], frozenset[int]]]:
+        """Return people, given or detected, with the keypoints of networks or files; and the searched frames.
+
+        Without given boxes and a detector, boxes follow from keypoints. Journals are kept as by `people`.
+        """
+        from perception.detection.boxes import FrameDetections
+        from perception.observation.journal import FrameJournal
+
+        people, known = given, frozenset[int]()
+        with ExitStack() as journals:
+            if people is None and not networks.makes_boxes:
+                people, known = journals.enter_context(self.people(refuse))
+            if networks.has_keypoints:
+                place = keypoints_journal(self.output)
+                key = key_of(self.frames.stamp(), networks.asked)
+                found = journals.enter_context(FrameJournal(place, key, FrameDetections))
+                size, reports = self.one_size, self.reports
+                people = find_keypoints(
+                    self.frames, networks, people, found, refuse, one_size=size, reports=reports
+                )
+                known |= frozenset(found)
+            assert people is not None
+            yield people, known
 
     def _on_ground(
         self,

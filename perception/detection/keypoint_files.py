@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.atomic import atomic_path
 from graphtrack.io.source import Source
 from graphtrack.io.text import trailing_number
 from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import LARGEST_FRAME
 from graphtrack.tracks.validation import parse_number
-from perception.detection.boxes import FrameDetections
+from perception.detection.boxes import FrameDetections, PersonBox, as_points, points_of
 from perception.pose.keypoints import BY_NUMBER, KNOWN, coco_indices, in_coco_order
 
 _EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
@@ -51,6 +54,50 @@ def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> 
         raise InputError("a folder without JSON files", "0001_keypoints.json, …", path=path)
     found = chain.from_iterable(_of_frame_file(file, frame_of) for file in files)
     return _by_frame(path, found)
+
+
+def write_keypoints(people: Iterable[PersonBox], path: str | Path) -> None:
+    """Write the boxes that have keypoints as COCO results, whose ``image_id`` is the frame's number.
+
+    Raises
+    ------
+    InputError
+        If the path cannot be written to.
+    """
+    entries = [
+        {
+            "image_id": item.frame,
+            "category_id": 1,
+            "keypoints": np.round(points_of(item), 3).ravel().tolist(),
+            "bbox": [round(side, 2) for side in item.box],
+            "score": round(item.confidence, 4),
+        }
+        for item in people
+        if item.keypoints is not None
+    ]
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(entries), encoding="ascii")
+
+
+def keypoints_by_box(people: Iterable[PersonBox], path: str | Path) -> list[PersonBox]:
+    """Return boxes with the keypoints that `write_keypoints` wrote for the same boxes.
+
+    Raises
+    ------
+    InputError
+        As `read_keypoints` does.
+    """
+
+    def key(frame: int, box: ArrayLike) -> tuple[float, ...]:
+        return frame, *np.round(np.asarray(box, float), 2).tolist()
+
+    known = {
+        key(frame, box): as_points(points)
+        for frame, found in read_keypoints(path).items()
+        if found.points is not None
+        for box, points in zip(found.boxes, found.points, strict=True)
+    }
+    return [replace(item, keypoints=known.get(key(item.frame, item.box))) for item in people]
 
 
 def _by_frame(path: Path, people: Iterable[_Person]) -> dict[int, FrameDetections]:

@@ -1,7 +1,7 @@
 """Frames of a video or of a folder of images in order, undecodable frames included.
 
-FFmpeg, OpenCV's decoder, also renders text files and opens the files and addresses of a playlist. Therefore
-only files with the signature of a video are passed to it.
+FFmpeg, which decodes through PyAV, also renders text files and opens the files and addresses of a playlist.
+Therefore only files with the signature of a video are passed to it.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,7 +58,8 @@ _PICTURES: tuple[tuple[int, bytes], ...] = (
 _RAW = b"YUV4MPEG2 "  # raw pixels after a line of text, which may resemble text
 _CONTROL = frozenset(range(32)) - frozenset(b"\t\n\f\r\x1b")  # bytes that do not occur in text
 _PACKETS = (188, 192, 204)  # bytes of a packet of an MPEG transport stream, which begins with 0x47
-_HEAD = 4 * 204
+HEAD = 4 * 204
+"""Bytes by which the type of a file is recognised."""
 _VIDEOS = "a video (MP4, MOV, AVI, Matroska, WebM, MPEG, ...) or a folder of images"
 
 
@@ -69,7 +72,11 @@ def check_video(path: Path) -> bool:
         If it is text (such as subtitles and playlists), empty, or of another type.
     """
     with path.open("rb") as stream:
-        head = stream.read(_HEAD)
+        return check_head(stream.read(HEAD), path)
+
+
+def check_head(head: bytes, path: Path) -> bool:
+    """Check the first bytes of a video as `check_video` does; ``path`` is for messages."""
     text = head[:2] in (b"\xff\xfe", b"\xfe\xff") or not any(byte in _CONTROL for byte in head)
     if not head:
         found = "an empty file"
@@ -130,17 +137,14 @@ def seconds(frame: ArrayLike, clock: float | Clock) -> FloatArray:
 def _time_stamps(path: Path, rate: float) -> FloatArray | None:
     """Return seconds (n,) of a video's frames since the first; None at a constant rate, or if unknown."""
     try:
-        import av
-    except ImportError:
-        logger.warning("times by the nominal rate of %g a second: no PyAV (the extra video)", rate)
-        return None
-    try:
-        with av.open(str(path.absolute())) as container:
-            stream = container.streams.video[0]
+        with _opened(path) as container:
+            if _is_raw(container):
+                return None
+            stream = container.streams.best("video")
             packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
             ticks = sorted(packet.pts for packet in packets if packet.pts is not None)
             tick = float(stream.time_base or 0)
-    except (av.FFmpegError, IndexError):
+    except av.FFmpegError:
         packets, ticks, tick = [], [], 0.0
     if not ticks or len(ticks) < len(packets):
         logger.warning("times by the nominal rate of %g a second: frames without time stamps", rate)
@@ -153,7 +157,8 @@ def _time_stamps(path: Path, rate: float) -> FloatArray | None:
 
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
-_MOST_BAD = 50  # consecutive undecodable frames after which a video has ended early
+_DOUBT = 0.9  # share of its duration at which a video without a number of frames has ended early
+_LAST = 1.0  # seconds that its last frame may be shown
 
 Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
 """Starts a progress report with a total and a unit; yields a function that receives completed counts."""
@@ -177,11 +182,13 @@ class FrameSource:
     path : a video, or a folder with images
     count : number of frames by its metadata
     fps : frames a second by its metadata; None for a folder
+    damaged : numbers of the decoded frames with errors that the decoder concealed, of all passes so far
     """
 
     path: Path
     count: int
     fps: float | None
+    damaged: set[int] = field(default_factory=set, compare=False, repr=False)
 
     @classmethod
     def open(cls, path: str | Path) -> FrameSource:
@@ -201,18 +208,24 @@ class FrameSource:
         if not path.is_file():
             raise InputError("no such file or folder", "a video or a folder of images", path=path)
         may_be_picture = check_video(path)
-        video = _capture(path)
+        expected = "a whole video (an MP4 that was cut off has lost its index), or a folder of images"
         try:
-            fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-            if not video.isOpened() or not video.read()[0]:
-                expected = "a whole video (an MP4 that was cut off has lost its index), or a folder of images"
-                raise InputError("no video that can be decoded", expected, path=path)
-            if may_be_picture and not video.read()[0]:
-                expected = "a video, or the folder that the picture is in"
-                raise InputError("a single picture", expected, path=path)
-        finally:
-            video.release()
-        return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
+            with _opened(path) as container:
+                stream = container.streams.best("video")
+                rate = float(stream.guessed_rate or 0)
+                frames, seconds = _declared(container)
+                count = (
+                    frames or round(seconds * rate) or sum(one.size > 0 for one in container.demux(stream))
+                )
+        except av.FFmpegError as error:
+            raise InputError("no video that can be decoded", expected, path=path) from error
+        found = (decoded for decoded in _decoded(path) if not isinstance(decoded, str))
+        if next(found, None) is None:
+            raise InputError("no video that can be decoded", expected, path=path)
+        if may_be_picture and next(found, None) is None:
+            expected = "a video, or the folder that the picture is in"
+            raise InputError("a single picture", expected, path=path)
+        return cls(path, max(count, 1), rate if 0.1 < rate < 1000 else None)
 
     def clock(self, rate: float) -> Clock:
         """Return the times of the frames: time stamps of a video of variable rate, else from the rate."""
@@ -258,7 +271,8 @@ class FrameSource:
         """Return the numbers of the frames; a video is read through, since its metadata may be wrong."""
         if self.path.is_dir():
             return [number for number, _ in _images(self.path)]
-        return list(range(_length(self.path)))
+        good = (k for k, found in enumerate(_decoded(self.path)) if not isinstance(found, str))
+        return list(range(max(good, default=-1) + 1))
 
     def __iter__(self) -> Iterator[Frame]:
         return self.where(lambda number: True)
@@ -267,7 +281,15 @@ class FrameSource:
         """Yield the wanted frames; the pixels of other frames are not decoded."""
         if self.path.is_dir():
             return _from_folder(self.path, wanted)
-        return _from_video(self.path, self.count, wanted)
+        return self._from_video(wanted)
+
+    def _from_video(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
+        for number, found in enumerate(_decoded(self.path)):
+            if not isinstance(found, str) and found.is_corrupt:
+                self.damaged.add(number)
+            if wanted(number):
+                reason = found.format(number) if isinstance(found, str) else ""
+                yield Frame(number, None if isinstance(found, str) else picture_of(found), reason)
 
     @contextmanager
     def reported(
@@ -371,7 +393,7 @@ def read_image(path: Path) -> Image | None:
             warnings.simplefilter("ignore", Headers.DecompressionBombWarning)  # the limit is checked here
             with Headers.open(path) as header:  # which decodes nothing
                 check_pixels(path, *header.size)
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        image = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)  # upright by Exif
     except Headers.DecompressionBombError as error:
         raise InputError("an image of too many pixels", "a smaller one", path=path) from error
     except (OSError, ValueError, SyntaxError, cv2.error):
@@ -379,47 +401,81 @@ def read_image(path: Path) -> Image | None:
     return None if image is None else as_uint8(np.asarray(image))
 
 
-def _capture(path: Path) -> cv2.VideoCapture:
-    """Open a video by its absolute path, since FFmpeg interprets "name:" as a protocol."""
-    video = cv2.VideoCapture(str(path.absolute()))
-    try:
-        check_pixels(path, video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-    except InputError:
-        video.release()
-        raise
-    return video
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a video by its absolute path, since FFmpeg interprets "name:" as a protocol, and no other file.
+
+    Raises
+    ------
+    av.FFmpegError
+        If it has no video stream, or cannot be opened.
+    """
+    with av.open(str(path.absolute()), options={"protocol_whitelist": "file"}) as container:
+        stream = container.streams.best("video")
+        if stream is None or stream.codec_context is None:
+            raise av.InvalidDataError(0, "no video stream")
+        check_pixels(path, stream.codec_context.width, stream.codec_context.height)
+        yield container
 
 
-def _length(path: Path) -> int:
-    """Yield the frames up to the last decodable one, undecodable frames before it included."""
-    video = _capture(path)
-    try:
-        length = failed = 0
-        while failed < _MOST_BAD:
-            failed = 0 if video.grab() else failed + 1
-            length += 1
-        return length - failed
-    finally:
-        video.release()
+def _is_raw(container: Any) -> bool:
+    """Return True for a stream without a container, whose time stamps are invented (AVFMT_NOTIMESTAMPS)."""
+    return bool(container.format.flags & 0x80)
 
 
-def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-    """Yield frames from 0, with undecodable frames between others, and an early end, reported."""
-    video = _capture(path)
-    try:
+def _declared(container: Any) -> tuple[int, float]:
+    """Return the number of frames and the duration in seconds by the metadata of a video; 0 if unknown."""
+    stream = container.streams.best("video")
+    if _is_raw(container):
+        return 0, 0.0  # a duration from a guessed bit rate
+    seconds = float(stream.duration * stream.time_base) if stream.duration else 0.0
+    return stream.frames, seconds or (container.duration or 0) / av.time_base
+
+
+def _decoded(path: Path) -> Iterator[av.VideoFrame | str]:
+    """Yield the frames of a video from number 0, in the order of their times.
+
+    An undecodable frame is a reason, with ``{}`` for its number. At the end undecodable frames are one: an
+    early end.
+    """
+    with _opened(path) as container:
+        stream = container.streams.best("video")
+        declared, duration = _declared(container)
+        failed: list[int | None] = []  # time stamps of undecodable frames that are not yielded yet
         number = 0
-        failed: list[int] = []
-        while len(failed) < _MOST_BAD:
-            good, image = video.read() if wanted(number) else (video.grab(), None)
-            if good:
-                yield from (Frame(k, None, f"frame {k} cannot be decoded") for k in failed if wanted(k))
-                failed = []
-                if image is not None:
-                    yield Frame(number, as_uint8(np.asarray(image)))
-            else:
-                failed.append(number)
-            number += 1
-        if failed and failed[0] < count and wanted(failed[0]):
-            yield Frame(failed[0], None, f"the video ends at frame {failed[0]} of {count}")
-    finally:
-        video.release()
+        times: list[float] = []  # of the first frame and the newest
+        for packet in _packets(container, stream):
+            declared -= packet is not None and packet.is_discard and declared > 0
+            try:
+                frames = stream.codec_context.decode(packet)
+            except av.FFmpegError:
+                if packet is not None:
+                    failed.append(packet.pts)
+                continue
+            for frame in frames:
+                check_pixels(path, frame.width, frame.height)
+                before = [one for one in failed if one is None or frame.pts is None or one < frame.pts]
+                failed = [one for one in failed if one not in before]
+                yield from ["frame {} cannot be decoded"] * len(before)
+                yield frame
+                if frame.pts is not None:
+                    times = [*times[:1], float(frame.pts * stream.time_base)]
+                number += 1 + len(before)
+        if number < declared:
+            yield f"the video ends at frame {{}} of {declared}"
+        elif not declared and times and times[-1] - times[0] + _LAST < _DOUBT * duration:
+            yield f"the video ends at frame {{}}, after {times[-1] - times[0]:.1f} of {duration:.1f} s"
+
+
+def _packets(container: Any, stream: Any) -> Iterator[Any]:
+    """Yield the packets of a stream and, at the end or at an error of the container, None to flush."""
+    with suppress(av.FFmpegError):
+        yield from (packet for packet in container.demux(stream) if packet.size)
+    yield None
+
+
+def picture_of(frame: av.VideoFrame) -> Image:
+    """Return a decoded frame (h, w, 3), upright by its rotation."""
+    image = as_uint8(frame.to_ndarray(format="bgr24"))
+    turns = round(frame.rotation / 90.0) % 4
+    return np.ascontiguousarray(np.rot90(image, turns)) if turns else image

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +16,8 @@ from graphtrack.io import atomic_path, write
 from graphtrack.io.cameras import write_calibration
 from graphtrack.io.read_write import write_table
 from graphtrack.tracks.track import Track, TrackSet
-from perception.detection.boxes import PersonBox, write_boxes
+from perception.detection.boxes import PersonBox, as_points, write_boxes
+from perception.detection.keypoint_files import write_keypoints
 from perception.images.pixels import Image, pictures
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling import ALL_KINDS as CEILING_KINDS
@@ -87,13 +88,12 @@ def write_street(
 def _write_keypoints(path: Path, walks: Walks, boxes: Iterable[PersonBox], rng: np.random.Generator) -> None:
     """Write the simulated output of a pose network for the people in boxes, as COCO results."""
     place = {track.track_id: number for number, track in enumerate(walks.truth)}
-    entries = []
+    found = []
     for item in boxes:
         person = walks.people(item.frame)[place[item.track_id]]
         points = projected_keypoints(person, walks.scene.camera, walks.scene.furniture, rng)
-        values = {"keypoints": points.round(3).ravel().tolist(), "bbox": [round(x, 2) for x in item.box]}
-        entries.append({"image_id": item.frame, "category_id": 1, **values, "score": 0.9})
-    path.write_text(json.dumps(entries), encoding="ascii")
+        found.append(replace(item, keypoints=as_points(points), confidence=0.9))
+    write_keypoints(found, path)
 
 
 def write_ceiling(

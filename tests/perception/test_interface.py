@@ -20,7 +20,7 @@ from perception.cli.follow import follow
 from perception.cli.observe import observe
 from perception.cli.report import report
 
-OF_THE_SHELL = {"showing", "view", "network", "model"}
+OF_THE_SHELL = {"showing", "view", "network", "model", "reconnect", "live", "record_seconds"}
 """Options of the commands alone, and those that both take as one object."""
 OTHER_NAMES = {"source": "video", "write_boxes_to": "write_boxes"}
 

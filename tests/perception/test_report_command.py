@@ -6,10 +6,12 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from command import ran, run
 from made_up_behaviour import standing
+from onnx_files import SIDE, brightest
 from rerun_recordings import read_recording
 from street_files import write_street
 
@@ -345,3 +347,59 @@ def test_the_page_says_who_is_in_a_group_and_who_looks_at_whom() -> None:
     blind = what_they_do(two.map(lambda track: replace(track, head=None)))
     assert blind is not None and blind.attention is None
     assert what_they_do(standing(people=1)) is None
+
+
+def test_one_call_takes_keypoints_and_point_pairs(tmp_path: Path) -> None:
+    clip, out = tmp_path / "clip", tmp_path / "out"
+    ran("simulate", "street", "-o", clip, "--frames", 8, "--people", 2, "--seed", 3)
+    camera = GroundCamera.from_homography(np.loadtxt(clip / "homography.txt"))
+    ground = np.array([[-2.0, 4.0], [2.0, 4.0], [2.0, 9.0], [-2.0, 9.0], [0.0, 6.0]])
+    pairs = np.hstack([camera.ground_to_image(ground), ground])
+    np.savetxt(tmp_path / "pairs.txt", pairs)
+    given = "--keypoints", clip / "keypoints.json", "--point-pairs", tmp_path / "pairs.txt"
+    ran("report", clip / "video.mp4", *given, "-o", out)
+    assumed = (out / "assumptions.txt").read_text()
+    assert "homography from 5 point pairs: reprojection error" in assumed and "keypoints of" in assumed
+    assert "package's models" not in assumed
+    # The same observations as of observe.
+    ran("observe", clip / "video.mp4", *given, "-o", tmp_path / "rows.csv")
+    rows, found = (
+        gt.read(path, associate="always") for path in (tmp_path / "rows.csv", out / "observations.csv")
+    )
+    assert len(found) == len(rows) == 2
+    for one, other in zip(rows, found, strict=True):
+        np.testing.assert_allclose(one.body_likelihood, other.body_likelihood, atol=2e-3)
+    before = (out / "tracks.csv").read_bytes()
+    done = ran("report", clip / "video.mp4", *given, "-o", out)
+    assert (done.stdout + done.stderr).count("done before") == 7
+    # With boxes too, whose people have the keypoints; and with keypoints that are no file's any more.
+    ran("report", clip / "video.mp4", *given, "--boxes", clip / "boxes.txt", "-o", tmp_path / "boxes")
+    assert len(gt.read(tmp_path / "boxes")) == 2 and (out / "tracks.csv").read_bytes() == before
+
+
+def test_one_call_takes_a_network(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    frames, network = tmp_path / "frames", brightest(tmp_path / "detector.onnx")
+    frames.mkdir()
+    rng = np.random.default_rng(0)
+    for k in range(12):
+        shown = rng.integers(0, 40, (SIDE, SIDE, 3)).astype(np.uint8)
+        shown[16:24, 8 + 4 * k : 16 + 4 * k] = 250
+        cv2.imwrite(str(frames / f"{k}.png"), shown)
+    ran(
+        "observe",
+        frames,
+        "--detector",
+        network,
+        "--fps",
+        5,
+        "--write-boxes",
+        tmp_path / "b.txt",
+        "-o",
+        tmp_path / "o.csv",
+    )
+    run("report", frames, "--detector", network, "--fps", 5, "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "boxes.txt").read_bytes() == (tmp_path / "b.txt").read_bytes()
+    both = "--detector", network, "--boxes", tmp_path / "b.txt"
+    done = run("report", frames, *both, "-o", tmp_path / "other")
+    assert done.returncode == 2 and "--detector with --boxes" in done.stderr
