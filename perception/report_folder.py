@@ -30,8 +30,9 @@ from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 from perception.drawing.overlays import DirectionEstimate
 from perception.drawing.people import DrawnPerson, draw_people
+from perception.images.encoding import pictures
 from perception.images.frames import Clock, Frame, FrameSource
-from perception.images.pixels import as_uint8, browser_suffix, pictures
+from perception.images.pixels import as_uint8
 from perception.observation.tables import BOX
 from perception.storage import key_of
 
@@ -51,7 +52,7 @@ FILES = {
     "models": "camera.npz",
     "observations": "observations.csv",
     "tracks": TRACKS,
-    "video": f"annotated{browser_suffix()}",
+    "video": "annotated.mp4",
     "above": "above.png",
     "page": "report.html",
     "assumptions": "assumptions.txt",

@@ -129,8 +129,8 @@ def follow_target(
     from perception.drawing.people import draw
     from perception.following import run as following
     from perception.ground.inspection import FrameInspection
+    from perception.images.encoding import pictures
     from perception.images.frames import FrameSource
-    from perception.images.pixels import pictures
     from perception.observation.tables import Observations
     from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
 

@@ -367,7 +367,7 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     from graphtrack.io.read_write import write, write_table
     from graphtrack.tracks.track import ReadSummary, to_columns
     from perception.detection.boxes import write_boxes
-    from perception.images.pixels import is_video
+    from perception.images.encoding import is_video
     from perception.observation.journal import FrameJournal, while_unfinished
     from perception.observation.pipeline import FrameObservation
     from perception.observation.tables import Observations, to_detections, to_tracks
@@ -541,7 +541,7 @@ def _render(
     """Decode the frames again, now that all tracks are known, and draw the observations."""
     from perception.drawing.people import draw_people, people_by_frame
     from perception.ground.views import view_in
-    from perception.images.pixels import pictures
+    from perception.images.encoding import pictures
 
     people, ground = people_by_frame(observed, frames_observed), ground or observed.tracks.camera
     assert ground is not None

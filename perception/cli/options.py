@@ -309,8 +309,8 @@ def check_output_paths(
     render : a video or a folder of images to write
     source : a video or a folder of images to read
     """
+    from perception.images.encoding import check_render, is_video
     from perception.images.frames import FrameSource
-    from perception.images.pixels import check_render, is_video
 
     if render is not None:
         check_render(render)

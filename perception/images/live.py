@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from perception.images.encoding import VideoFile
 from perception.images.frames import HEAD, Clock, Frame, check_head, check_pixels, of_one_size, picture_of
-from perception.images.pixels import Image
 
 _URL = re.compile(r"(rtsps?|https?|rtmps?|tcp|udp|rtp|srt)://", re.IGNORECASE)
 _PASSWORD = re.compile(r"(?<=://)[^/@]*@")
@@ -351,33 +350,13 @@ def record(frames: LiveFrames, path: Path, seconds: float | None) -> int:
         If the size of the frames changes, or as `LiveFrames` raises it.
     """
     count, newest = 0, -1
-    stream: Any = None
-    with av.open(str(path), "w", format="matroska") as container:
-        with suppress(KeyboardInterrupt):
-            for frame in of_one_size(frames):
-                assert frame.image is not None
-                at = float(frames.clock(_RATE).seconds(frame.number))
-                if seconds is not None and at > seconds:
-                    break
-                stream = stream or _encoder(container, frame.image)
-                even = np.pad(
-                    frame.image, [*((0, side % 2) for side in frame.image.shape[:2]), (0, 0)], "edge"
-                )
-                picture = av.VideoFrame.from_ndarray(even, format="bgr24")
-                newest = max(round(1000.0 * at), newest + 1)
-                picture.pts, picture.time_base = newest, Fraction(1, 1000)
-                container.mux(stream.encode(picture))
-                count += 1
-        if stream is not None:
-            container.mux(stream.encode())
+    with VideoFile(path, _RATE) as video, suppress(KeyboardInterrupt):
+        for frame in of_one_size(frames):
+            assert frame.image is not None
+            at = float(frames.clock(_RATE).seconds(frame.number))
+            if seconds is not None and at > seconds:
+                break
+            newest = max(round(1000.0 * at), newest + 1)
+            video.write(frame.image, newest)
+            count += 1
     return count
-
-
-def _encoder(container: Any, image: Image) -> Any:
-    """Add a stream for frames with times in milliseconds; 4:2:0 needs even sizes."""
-    has_h264 = "libx264" in av.codecs_available
-    stream = container.add_stream("libx264" if has_h264 else "mpeg4", rate=Fraction(_RATE))
-    stream.height, stream.width = (side + side % 2 for side in image.shape[:2])
-    stream.pix_fmt, stream.codec_context.time_base = "yuv420p", Fraction(1, 1000)
-    stream.options = {"preset": "veryfast", "crf": "18"} if has_h264 else {"qscale": "3"}
-    return stream

@@ -1,13 +1,8 @@
-"""Checks, crops and comparison of images and boxes, and writing of videos and image folders."""
+"""Checks, crops and comparison of images and boxes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from fractions import Fraction
-from functools import cache
-from importlib.util import find_spec
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import cv2
@@ -16,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.atomic import atomic_path, check_place
 
 Image = NDArray[np.uint8]
 """(h, w, 3) blue green red, or (h, w) grey; uint8."""
@@ -148,165 +142,3 @@ def suppressed(
         kept.append(best)
         left = left[~near(best, left)]
     return kept
-
-
-_VIDEOS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
-"""Suffix of a video → its codec in OpenCV, which has no encoder for H.264."""
-
-_ROOM = "a place with room for it"
-
-Write = Callable[[int, Image], None]
-"""Receives the number of a frame and its image."""
-
-
-@cache
-def has_h264() -> bool:
-    """Return True if videos .mp4 are H.264, which browsers play, by PyAV (extra ``video``)."""
-    if find_spec("av") is None:
-        return False
-    import av
-
-    return "libx264" in av.codecs_available
-
-
-def browser_suffix() -> str:
-    """Return the suffix of videos that browsers play: .mp4 where H.264 can be encoded, else .webm."""
-    return ".mp4" if has_h264() else ".webm"
-
-
-def is_video(path: Path) -> bool:
-    """Return True if `pictures` writes a video to a path, False for a folder of images."""
-    return not path.is_dir() and bool(path.suffix)
-
-
-def check_render(path: Path) -> None:
-    """Refuse paths that cannot be written, before any work is done.
-
-    Raises
-    ------
-    InputError
-        For another suffix than .mp4, .webm, .avi or none, or a folder that is missing or not empty.
-    """
-    if is_video(path) and path.suffix.lower() not in _VIDEOS:
-        raise InputError(f"{path.suffix} files", "a video .mp4, .webm or .avi, or a folder", path=path)
-    check_place(path, directory=not is_video(path))
-
-
-@contextmanager
-def pictures(path: Path, fps: float) -> Iterator[Write]:
-    """Yield a function that writes images in order; the output appears only on success.
-
-    Parameters
-    ----------
-    path : .mp4, .webm or .avi; without suffix, or if it exists, a folder of images named by their frames
-    fps : frames a second of the video
-
-    Raises
-    ------
-    InputError
-        If the path cannot be written to, or the images of a video differ in size.
-    """
-    check_render(path)
-    if is_video(path):
-        with atomic_path(path) as temporary, _video(temporary, fps, path) as write:
-            yield write
-        return
-    with atomic_path(path, directory=True) as temporary:
-
-        def save(number: int, picture: Image) -> None:
-            if not cv2.imwrite(str(temporary / f"{number:06d}.png"), picture):
-                raise InputError(f"an image of frame {number} that cannot be written", _ROOM, path=path)
-
-        yield save
-
-
-class _OpenCV:
-    """Writer of a video by OpenCV."""
-
-    def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
-        code = cv2.VideoWriter.fourcc(*_VIDEOS[path.suffix.lower()])
-        self._writer = cv2.VideoWriter(str(path), code, fps, (width, height))
-        self._path, self._count = path, 0
-        if not self._writer.isOpened():
-            raise InputError("a video that cannot be opened for writing", "another name or a folder")
-
-    def write(self, picture: Image) -> None:
-        """Append a frame."""
-        self._writer.write(picture)
-        self._count += 1
-
-    def close(self, complete: bool) -> None:
-        """Finish the file, and check that a complete one has all frames: OpenCV reports no full disk."""
-        self._writer.release()
-        if not complete:
-            return
-        written = cv2.VideoCapture(str(self._path))
-        try:
-            # WebM has no count: it is the duration times the rate.
-            missing = abs(round(written.get(cv2.CAP_PROP_FRAME_COUNT)) - self._count)
-            if missing > (self._path.suffix.lower() == ".webm"):
-                raise InputError(f"a video of which not all {self._count} frames could be written", _ROOM)
-        finally:
-            written.release()
-
-
-class _H264:
-    """Writer of H.264 by PyAV: 4:2:0, which needs even sizes; an odd border is repeated."""
-
-    def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
-        import av
-
-        self._av, self._odd = av, ((0, height % 2), (0, width % 2), (0, 0))
-        self._file = av.open(str(path), "w", options={"movflags": "faststart"})
-        self._stream = self._file.add_stream("libx264", rate=Fraction(fps).limit_denominator(10_000))
-        self._stream.width, self._stream.height = width + width % 2, height + height % 2
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.options = {"crf": "20"}
-
-    def write(self, picture: Image) -> None:
-        """Append a frame."""
-        even = np.pad(picture, self._odd, mode="edge")
-        self._mux(self._av.VideoFrame.from_ndarray(even, format="bgr24"))
-
-    def close(self, complete: bool) -> None:
-        """Finish the file."""
-        if complete:
-            self._mux(None)
-        self._file.close()
-
-    def _mux(self, frame: Any) -> None:
-        try:
-            self._file.mux(self._stream.encode(frame))
-        except OSError as error:
-            raise InputError(f"a video that cannot be written ({error.strerror})", _ROOM) from error
-
-
-@contextmanager
-def _video(path: Path, fps: float, shown: Path) -> Iterator[Write]:
-    """Open a video with the size of the first image; ``shown`` is the path in messages."""
-    kind = _H264 if path.suffix.lower() == ".mp4" and has_h264() else _OpenCV
-    writer: _OpenCV | _H264 | None = None
-    size: tuple[int, ...] = ()
-
-    def write(number: int, picture: Image) -> None:
-        nonlocal writer, size
-        if writer is None:
-            size = picture.shape
-            writer = kind(path, fps, size[1], size[0])
-        if picture.shape != size:  # OpenCV drops it silently
-            h, w = picture.shape[:2]
-            raise InputError(
-                f"frame {number} of {w} × {h} pixels", f"{size[1]} × {size[0]} as the first, or a folder"
-            )
-        writer.write(picture)
-
-    complete = False
-    try:
-        yield write
-        complete = True
-    finally:
-        if writer is not None:
-            try:
-                writer.close(complete)
-            except InputError as error:
-                raise error.at(path=shown) from error

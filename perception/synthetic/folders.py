@@ -18,7 +18,8 @@ from graphtrack.io.read_write import write_table
 from graphtrack.tracks.track import Track, TrackSet
 from perception.detection.boxes import PersonBox, as_points, write_boxes
 from perception.detection.keypoint_files import write_keypoints
-from perception.images.pixels import Image, pictures
+from perception.images.encoding import pictures
+from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling import ALL_KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence

@@ -14,8 +14,7 @@ from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from perception.drawing.overlays import LIGHT, Likelihoods, person_colour
 from perception.drawing.people import DrawnPerson, draw, draw_people
-from perception.images import pixels
-from perception.images.pixels import check_render, pictures
+from perception.images.encoding import check_render, pictures
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 from perception.trackers.tracker import BoxEstimate
@@ -97,21 +96,14 @@ def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEst
     assert np.abs(images[0].astype(float) - expected).mean() < 8.0
 
 
-@pytest.mark.parametrize("encoder", [True, False])
-def test_a_report_has_a_video_that_browsers_play(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoder: bool
-) -> None:
-    if encoder:
-        pytest.importorskip("av")
-    monkeypatch.setattr(pixels, "has_h264", lambda: encoder)
-    suffix = pixels.browser_suffix()
-    assert suffix == (".mp4" if encoder else ".webm")
+@pytest.mark.parametrize(("suffix", "codes"), [(".mp4", ("avc1", "h264")), (".webm", ("VP80",))])
+def test_browsers_play_the_codec(tmp_path: Path, suffix: str, codes: tuple[str, ...]) -> None:
     with pictures(tmp_path / f"film{suffix}", 12.5) as write:
         for k in range(4):
             write(k, np.full((75, 101, 3), 60 * k, np.uint8))  # H.264 needs even sizes
     video = cv2.VideoCapture(str(tmp_path / f"film{suffix}"))
     code = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode()
-    assert code in (("avc1", "h264") if encoder else ("VP80",))
+    assert code in codes
     levels = []
     while (read := video.read())[0]:
         levels.append(read[1].mean())
@@ -142,28 +134,18 @@ def test_a_picture_of_another_size_is_refused_where_opencv_would_leave_it_out(tm
     assert not list(tmp_path.iterdir())
 
 
-def test_a_video_that_could_not_be_written_whole_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Full:
-        fourcc = staticmethod(cv2.VideoWriter.fourcc)
-
-        def __init__(self, *given: object) -> None: ...
-
-        def isOpened(self) -> bool:
-            return True
-
-        def write(self, picture: np.ndarray) -> None: ...
-
-        def release(self) -> None: ...
-
-    monkeypatch.setattr(cv2, "VideoWriter", Full)
-    with pytest.raises(InputError, match="not all 3"), pictures(tmp_path / "film.avi", 5.0) as write:
-        for k in range(3):
-            write(k, blob_image(CENTRE))
-    monkeypatch.setattr(cv2, "imwrite", lambda *rest: False)
-    with pytest.raises(InputError, match="frame 7"), pictures(tmp_path / "shown", 5.0) as write:
-        write(7, blob_image(CENTRE))
+@pytest.mark.parametrize("name", ["film.mp4", "film.avi", "film.webm", "shown"])
+def test_a_video_for_which_there_is_no_room_is_an_error(tmp_path: Path, name: str) -> None:
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    images = np.random.default_rng(3).integers(0, 256, (20, 96, 128, 3), np.uint8)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(InputError, match="cannot be written"), pictures(tmp_path / name, 5.0) as write:
+            for k, image in enumerate(images):
+                write(k, image)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert not list(tmp_path.iterdir())
 
 
