@@ -18,7 +18,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.interaction.attention import attention
 from graphtrack.interaction.groups import groups
 from graphtrack.io.atomic import atomic_path, check_place
-from graphtrack.report.background import Background
+from graphtrack.report.background import Backdrop
 from graphtrack.report.content import Note, Picture, Section
 from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
@@ -289,16 +289,16 @@ def write_video(
     return count
 
 
-def background_of(frames: FrameSource, camera: GroundCamera) -> Background | None:
+def background_of(frames: FrameSource, camera: GroundCamera) -> Backdrop | None:
     """Return the first frame that can be read, as an image on the ground; None without one."""
     for frame in frames.where(lambda number: True):
         if frame.image is not None:
-            return Background(np.ascontiguousarray(as_uint8(frame.image)[..., ::-1]), camera)
+            return Backdrop(np.ascontiguousarray(as_uint8(frame.image)[..., ::-1]), camera)
     return None
 
 
 def write_above(
-    path: Path, title: str, estimates: TrackSet, observations: TrackSet, background: Background | None
+    path: Path, title: str, estimates: TrackSet, observations: TrackSet, background: Backdrop | None
 ) -> None:
     """Write an image of all paths from above, with the people's ids."""
     figure = plot_tracks(estimates, observations, title=title, background=background)
@@ -313,7 +313,7 @@ def write_page(
     observations: TrackSet,
     video: Path,
     assumptions: Sequence[str],
-    background: Background | None = None,
+    background: Backdrop | None = None,
     figures: Path | None = None,
 ) -> None:
     """Write the page, with some frames of the annotated video in it."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.limits import MemoryLimit
 
 _CARD = "card"
 _DAMAGES = (

@@ -18,7 +18,7 @@ from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.report.background import Background
+    from graphtrack.report.background import Backdrop
     from graphtrack.tracks.track import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
@@ -93,25 +93,25 @@ def report(
 
 def _background(
     path: Path, corner: str | None, reading: options.SceneReading, camera: GroundCamera | None
-) -> Background:
+) -> Backdrop:
     """Return an image with the camera or scale of the options, else the camera of the input."""
     import numpy as np
 
     from graphtrack.io.cameras import known_camera
-    from graphtrack.report.background import Background
+    from graphtrack.report.background import Backdrop
 
     known, notes = known_camera(reading.options(), np.empty((0, 2)))
     for note in notes:
         emit(f"  note: {note}")
     scale = reading.metres_per_pixel
     if known is None and scale is not None:
-        return Background.of_plan(path, scale, None if corner is None else _point(corner))
+        return Backdrop.of_plan(path, scale, None if corner is None else _point(corner))
     if corner is not None:
         raise InputError("--background-corner", "--metres-per-pixel with it, and no camera")
     if known is None and camera is None:
         expected = "--homography, --point-pairs or --calibration, or --metres-per-pixel"
         raise InputError("a background without a camera or scale", expected, path=path)
-    return Background.read(path, camera if known is None else known)  # type: ignore[arg-type]
+    return Backdrop.read(path, camera if known is None else known)  # type: ignore[arg-type]
 
 
 def _point(text: str) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.group_files import UNLABELLED
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.io.formats.native import open_table
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.limits import MemoryLimit
 from graphtrack.tracks.cells import Cells, integers, numbers
 from graphtrack.tracks.validation import LARGEST_ID, parse_number
 

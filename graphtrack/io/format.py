@@ -162,7 +162,7 @@ def is_recording(path: Path) -> bool:
     """Return whether a path is a ROS 2 recording: a bag folder, or a file with the suffix of one."""
     if not (path.suffix.lower() in _OF_RECORDINGS or isinstance(path, RemoteFile) or path.is_dir()):
         return False
-    from graphtrack.io.formats.ros_bag import is_bag
+    from graphtrack.io.formats.ros.bag import is_bag
 
     return is_bag(path)
 

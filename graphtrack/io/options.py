@@ -14,9 +14,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.conventions import AngleConvention, Sense, Zero
 from graphtrack.geometry.poses import PosePath
-from graphtrack.io.limits import MemoryLimit
 from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
+from graphtrack.limits import MemoryLimit
 from graphtrack.tracks.cells import WILD, Layout
 from graphtrack.tracks.schema import BOX_KEYS, CLASS, is_column
 from graphtrack.tracks.table import ANGLES, DEGREES, AsRead

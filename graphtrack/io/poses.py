@@ -318,8 +318,8 @@ def _times_of_frames(source: Source, n: int, options: ReadOptions) -> tuple[Floa
 
 def _of_recording(path: Path, options: ReadOptions, names: Collection[str]) -> PoseFile:
     """Read the frames of tf that are named like sensors, and base_link for all other rows."""
-    from graphtrack.io.formats.ros_bag import open_bag, yaw_of
-    from graphtrack.io.formats.ros_reading import FIXED_FRAMES, transforms_of
+    from graphtrack.io.formats.ros.bag import open_bag, yaw_of
+    from graphtrack.io.formats.ros.reading import FIXED_FRAMES, transforms_of
 
     with open_bag(path, options.limit(path)) as bag:
         transforms = transforms_of(bag)

@@ -65,7 +65,7 @@ HOMES: Mapping[str, str] = MappingProxyType(
     {
         "csv": "formats.native:CSV",
         "parquet": "formats.native:PARQUET",
-        "bag": "formats.ros_reading:BAG",
+        "bag": "formats.ros.reading:BAG",
         "geopackage": "libraries:GEOPACKAGE",
         "geoparquet": "libraries:GEOPARQUET",
         "coco": "formats.boxes:COCO",

@@ -18,7 +18,7 @@ import tomli_w
 
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.limits import MemoryLimit
 from graphtrack.packages import package
 from graphtrack.tracks.validation import with_table
 

@@ -61,7 +61,7 @@ class GroundImage:
 
 
 @dataclass(frozen=True, eq=False)
-class Background:
+class Backdrop:
     """An image with its camera.
 
     Attributes
@@ -74,7 +74,7 @@ class Background:
     camera: GroundCamera
 
     @classmethod
-    def read(cls, path: str | Path, camera: GroundCamera) -> Background:
+    def read(cls, path: str | Path, camera: GroundCamera) -> Backdrop:
         """Read a photo, upright as viewers show it.
 
         Raises
@@ -87,7 +87,7 @@ class Background:
     @classmethod
     def of_plan(
         cls, path: str | Path, metres_per_pixel: float, corner: tuple[float, float] | None = None
-    ) -> Background:
+    ) -> Backdrop:
         """Read a view from straight above, such as a floor plan.
 
         Parameters

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from graphtrack.interaction.people import Place
     from graphtrack.io.read_write import Given
     from graphtrack.io.sensors import SensorsLike
-    from graphtrack.report.background import Background
+    from graphtrack.report.background import Backdrop
     from graphtrack.report.interaction import Behaviour
 
 
@@ -74,7 +74,7 @@ def tracking_report(
     events: Sequence[IdentityEvent] | None = None,
     behaviour: Behaviour | None = None,
     sensors: Sensors | None = None,
-    background: Background | None = None,
+    background: Backdrop | None = None,
 ) -> Report:
     """Compose the report of a tracking run.
 
@@ -395,7 +395,7 @@ def write_report(
     places: Sequence[Place] | str | Path | None = None,
     sensors: SensorsLike | None = None,
     crowd: Sequence[Place] | str | Path | None = None,
-    background: Background | None = None,
+    background: Backdrop | None = None,
     figures: str | Path | None = None,
     title: str = "Tracks",
     subtitle: str = "",

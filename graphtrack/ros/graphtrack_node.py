@@ -14,8 +14,8 @@ from functools import cache, partial
 from typing import Any
 
 from graphtrack.errors import GraphtrackError
-from graphtrack.io.formats.ros_bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
-from graphtrack.io.formats.ros_writing import TOPICS, gaze_message, group_message, header_of, message_for
+from graphtrack.io.formats.ros.bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
+from graphtrack.io.formats.ros.writing import TOPICS, gaze_message, group_message, header_of, message_for
 from graphtrack.ros.live import Live, SceneEstimate
 
 try:

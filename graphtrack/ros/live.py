@@ -20,7 +20,7 @@ from graphtrack.constants.online import Estimate, OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.interaction.attention import OnlineAttention
 from graphtrack.interaction.groups import OnlineGroups
-from graphtrack.io.formats.ros_bag import (
+from graphtrack.io.formats.ros.bag import (
     IDS,
     SECOND,
     PeopleMessage,
@@ -28,8 +28,8 @@ from graphtrack.io.formats.ros_bag import (
     sensor_name,
     sightings_of,
 )
-from graphtrack.io.formats.ros_reading import GroundFrame, Humans, Transforms
-from graphtrack.io.formats.ros_writing import PersonMessage
+from graphtrack.io.formats.ros.reading import GroundFrame, Humans, Transforms
+from graphtrack.io.formats.ros.writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
 from graphtrack.tracking import OnlineTracker
@@ -200,7 +200,7 @@ class Live:
 
     Parameters
     ----------
-    kind : the type of the messages, one of `graphtrack.io.formats.ros_bag.OF_PEOPLE`, where `take` has none
+    kind : the type of the messages, one of `graphtrack.io.formats.ros.bag.OF_PEOPLE`, where `take` has none
     model, lag : as in `OnlineSmoother`
     fixed_frame : frame into which tf transforms all positions; None: that of the messages
     behaviour : True to report groups and gaze

@@ -23,7 +23,7 @@ from PIL import Image as Headers
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.limits import MemoryLimit
 from graphtrack.tracks.schema import LARGEST_FRAME
 from perception.images.pixels import Image, as_uint8
 

@@ -15,8 +15,8 @@ from refusals import refused
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.io.formats.ros_bag import open_bag
-from graphtrack.io.limits import LARGEST, RATIO_FROM, MemoryLimit
+from graphtrack.io.formats.ros.bag import open_bag
+from graphtrack.limits import LARGEST, RATIO_FROM, MemoryLimit
 from graphtrack.model import Model
 from graphtrack.tracks.gaps import filled, gaps_without_time
 from perception.images.frames import FrameSource, read_image

@@ -12,7 +12,7 @@ from PIL import Image
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.report.background import Background
+from graphtrack.report.background import Backdrop
 from graphtrack.report.html import render_report
 from graphtrack.report.page import tracking_report, write_report
 from graphtrack.report.plots.scene import plot_tracks
@@ -42,10 +42,10 @@ def red_place(ground):
 
 def test_a_plan_lies_where_its_scale_and_corner_say(marked):
     around = [np.array([[0.0, 0.0], [2.0, 1.0]])]
-    ground = Background.of_plan(marked, 0.01, (0.0, 0.0)).on_ground(around)
+    ground = Backdrop.of_plan(marked, 0.01, (0.0, 0.0)).on_ground(around)
     assert red_place(ground) == pytest.approx((1.505, 0.795), abs=0.02)
     # Pixels that are read with the same scale lie at the same place.
-    ground = Background.of_plan(marked, 0.01).on_ground([p * [1.0, -1.0] for p in around])
+    ground = Backdrop.of_plan(marked, 0.01).on_ground([p * [1.0, -1.0] for p in around])
     assert red_place(ground) == pytest.approx((1.505, -0.205), abs=0.02)
 
 
@@ -54,7 +54,7 @@ def test_a_photo_lies_where_its_camera_sees_the_ground(marked, tilt):
     camera = GroundCamera(np.array([[0.02, 0.003, -1.0], [-0.002, -0.03, 3.0], [0.0, tilt, 1.0]]))
     mark = camera.image_to_ground(np.array([150.0, 20.0]))
     corners = camera.image_to_ground(np.array([[0.0, 0.0], [199.0, 0.0], [199.0, 99.0], [0.0, 99.0]]))
-    ground = Background.read(marked, camera).on_ground([corners])
+    ground = Backdrop.read(marked, camera).on_ground([corners])
     assert red_place(ground) == pytest.approx(tuple(mark), abs=0.06)
     # Outside of the image there is nothing.
     assert (ground.pixels[..., 3] == 0).any() and (ground.pixels[..., 3] == 255).any()
@@ -62,7 +62,7 @@ def test_a_photo_lies_where_its_camera_sees_the_ground(marked, tilt):
 
 def test_the_page_and_the_picture_have_it(marked):
     track = walker(1, n=20, position=np.linspace([0.2, 0.2], [1.8, 0.8], 20))
-    background = Background.of_plan(marked, 0.01, (0.0, 0.0))
+    background = Backdrop.of_plan(marked, 0.01, (0.0, 0.0))
     report = tracking_report(TrackSet((track,)), background=background)
     kind, encoded = report.replay["background"]["image"].split(",")
     assert kind == "data:image/webp;base64"
@@ -78,14 +78,14 @@ def test_the_page_and_the_picture_have_it(marked):
 
 
 def test_what_cannot_be_a_background_is_refused(marked, tmp_path):
-    plan = Background.of_plan(marked, 0.01, (0.0, 0.0))
+    plan = Backdrop.of_plan(marked, 0.01, (0.0, 0.0))
     for nowhere in ([SQUARE + 50.0], [np.full((3, 2), np.nan)], []):
         with pytest.raises(InputError, match="none of the paths"):
             plan.on_ground(nowhere)
     (tmp_path / "text.png").write_text("no image")
     for path, words in ((tmp_path / "text.png", "can be read"), (tmp_path / "none.png", "no such file")):
         with pytest.raises(InputError, match=words):
-            Background.of_plan(path, 0.01)
+            Backdrop.of_plan(path, 0.01)
 
 
 def test_the_command_takes_a_plan_and_writes_figures(marked, tmp_path):

@@ -33,9 +33,9 @@ from recordings import (
 from rosbags.rosbag2 import Reader, StoragePlugin
 
 import graphtrack as gt
-from graphtrack.io.formats.ros_bag import MARKERS
-from graphtrack.io.formats.ros_reading import rows_of_bag
-from graphtrack.io.formats.ros_writing import TOPICS
+from graphtrack.io.formats.ros.bag import MARKERS
+from graphtrack.io.formats.ros.reading import rows_of_bag
+from graphtrack.io.formats.ros.writing import TOPICS
 from graphtrack.io.options import ReadOptions
 from graphtrack.tracks.table import AsRead
 from graphtrack.tracks.time import TimeScale

@@ -10,9 +10,9 @@ from hypothesis.extra.numpy import arrays
 from recordings import START, transform, turned
 from scipy.spatial.transform import Rotation
 
-from graphtrack.io.formats.ros_bag import ellipses_of, kappa_of, spread_of, variance_of, yaw_of
-from graphtrack.io.formats.ros_reading import Transforms
-from graphtrack.io.formats.ros_writing import PersonMessage
+from graphtrack.io.formats.ros.bag import ellipses_of, kappa_of, spread_of, variance_of, yaw_of
+from graphtrack.io.formats.ros.reading import Transforms
+from graphtrack.io.formats.ros.writing import PersonMessage
 
 ANGLES = st.floats(-math.pi + 1e-6, math.pi)
 SIZES = st.floats(1e-3, 1e3)

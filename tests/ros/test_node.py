@@ -31,7 +31,7 @@ from recordings import (
 from selection import others_slow
 
 import graphtrack as gt
-from graphtrack.io.formats.ros_bag import DETECTIONS, GAZE, GROUP, IDS, MARKERS, PEOPLE, POSES, TRANSFORMS
+from graphtrack.io.formats.ros.bag import DETECTIONS, GAZE, GROUP, IDS, MARKERS, PEOPLE, POSES, TRANSFORMS
 from graphtrack.ros import live as live_module
 from graphtrack.ros.live import Live
 from graphtrack.tracking import track_online

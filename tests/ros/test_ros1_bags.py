@@ -9,9 +9,9 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import graphtrack as gt
-from graphtrack.io.formats.ros_bag import DETECTIONS, FIELDS, PEOPLE, TRANSFORMS
-from graphtrack.io.formats.ros_writing import Made
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.io.formats.ros.bag import DETECTIONS, FIELDS, PEOPLE, TRANSFORMS
+from graphtrack.io.formats.ros.writing import Made
+from graphtrack.limits import MemoryLimit
 
 
 def ros1(path, compression=None):

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from graphtrack.io.formats.ros_bag import TRANSFORMS, typestore
-from graphtrack.io.formats.ros_writing import Made
+from graphtrack.io.formats.ros.bag import TRANSFORMS, typestore
+from graphtrack.io.formats.ros.writing import Made
 
 STORE = typestore()
 make = Made(STORE)

@@ -18,10 +18,10 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.column_names import SYNONYMS, plain
 from graphtrack.io.format import Format, rate_of, rate_to_write, times_are_exact
-from graphtrack.io.limits import check_stored
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.io.text import read_numbers
+from graphtrack.limits import check_stored
 from graphtrack.packages import package
 from graphtrack.tracks.cells import METRES, Cells, Columns, Layout, frame_of, numbers, rows_of_cells
 from graphtrack.tracks.schema import is_column

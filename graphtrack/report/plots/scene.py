@@ -34,7 +34,7 @@ from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track, TrackSet
 
 if TYPE_CHECKING:
-    from graphtrack.report.background import Background, GroundImage
+    from graphtrack.report.background import Backdrop, GroundImage
     from graphtrack.report.sensors import ShownSensor
 
 MARKED_GAP = 3
@@ -66,7 +66,7 @@ def plot_tracks(
     *,
     arrow_interval: float | None = None,
     title: str = "",
-    background: Background | None = None,
+    background: Backdrop | None = None,
 ) -> Figure:
     """Draw all paths from above, in metres with equal axes.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.formats.ros_bag import (
+from graphtrack.io.formats.ros.bag import (
     DETECTIONS,
     GAZE,
     GROUP,
@@ -188,7 +188,7 @@ def gaze_message(make: Make, header: Any, sender: str, receiver: str) -> Any:
 
 
 class Made:
-    """Factory of messages of a typestore; see `graphtrack.io.formats.ros_writing.Make`."""
+    """Factory of messages of a typestore; see `graphtrack.io.formats.ros.writing.Make`."""
 
     def __init__(self, store: Typestore) -> None:
         self._store = store

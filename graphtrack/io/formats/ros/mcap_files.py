@@ -10,7 +10,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any
 
-from graphtrack.io.limits import MemoryLimit
+from graphtrack.limits import MemoryLimit
 
 _FORMATS = {"ros2msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"}  # encoding of a schema → of rosbags
 

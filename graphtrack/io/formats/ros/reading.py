@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.format import Format
-from graphtrack.io.formats.ros_bag import (
+from graphtrack.io.formats.ros.bag import (
     DETECTIONS,
     IDS,
     TEXT,
@@ -38,7 +38,7 @@ from graphtrack.io.formats.ros_bag import (
     stamp_of,
     yaw_of,
 )
-from graphtrack.io.formats.ros_writing import write_mcap
+from graphtrack.io.formats.ros.writing import write_mcap
 from graphtrack.io.options import ReadOptions
 from graphtrack.packages import transform
 from graphtrack.tracks.cells import Cells, Layout, rows_of_cells

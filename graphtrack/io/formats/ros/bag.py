@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.formats.mcap_reading import McapReader, unpacked
-from graphtrack.io.limits import MemoryLimit, check_stored
+from graphtrack.io.formats.ros.mcap_files import McapReader, unpacked
 from graphtrack.io.source import RemoteFile
+from graphtrack.limits import MemoryLimit, check_stored
 from graphtrack.packages import package, transform
 from graphtrack.tracks.schema import LARGEST_CORRELATION
 from graphtrack.tracks.validation import LARGEST_CONCENTRATION

@@ -1,0 +1,1 @@
+"""ROS bags and MCAP recordings, read and written without ROS."""
