@@ -1,4 +1,4 @@
-"""`MemoryLimit`: a bound on the memory that a file may take, checked before the memory is taken."""
+"""Bound on the memory that a file may take, checked before the memory is taken."""
 
 from __future__ import annotations
 
