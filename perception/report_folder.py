@@ -23,6 +23,7 @@ from graphtrack.report.content import Note, Picture, Section
 from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
 from graphtrack.report.interaction import Behaviour, behaviour_of
+from graphtrack.report.methods import methods_section
 from graphtrack.report.page import tracking_report
 from graphtrack.report.plots.scene import plot_tracks
 from graphtrack.tracks.track import Track, TrackSet
@@ -52,6 +53,7 @@ FILES = {
     "models": "camera.npz",
     "observations": "observations.csv",
     "tracks": TRACKS,
+    "methods": "methods.txt",
     "video": "annotated.mp4",
     "above": "above.png",
     "page": "report.html",
@@ -313,6 +315,7 @@ def write_page(
     observations: TrackSet,
     video: Path,
     assumptions: Sequence[str],
+    methods: Sequence[str],
     background: Backdrop | None = None,
     figures: Path | None = None,
 ) -> None:
@@ -331,6 +334,7 @@ def write_page(
         sections=(
             Section("Frames", (words, *photos)),
             Section("What was assumed", tuple(Note(line) for line in assumptions)),
+            methods_section(methods),
         ),
     )
     if figures is not None:

@@ -184,7 +184,7 @@ def cite(
     from graphtrack.constants.personal import is_learned, known_constants
     from graphtrack.inference.engines import engine_of, online_engine
     from graphtrack.model import Model
-    from graphtrack.report.methods import methods_text, software_bibtex
+    from graphtrack.report.methods import methods_lines, methods_text, software_bibtex
 
     chosen = Model.named(model)
     is_online = engine in ("isam2", "fixed-lag")
@@ -194,9 +194,9 @@ def cite(
         "learned" if is_learned(known, chosen) else "the defaults" if constants != "default" else "default"
     )
     summary = reading.tracks(inputs).summary if inputs else None
-    text, works = methods_text(chosen, solver, constants=words, summary=summary)
+    text, *works = methods_lines(*methods_text(chosen, solver, constants=words, summary=summary))
     typer.echo(text)
     for work in works:
-        typer.echo(f"  {work.cited}: {work.work}.")
+        typer.echo(f"  {work}")
     if bibtex:
         typer.echo(software_bibtex())

@@ -259,7 +259,7 @@ def smooth(
     if report is not None and good:
         from graphtrack.evaluation.observed import observed_calibration
         from graphtrack.report.html import write_html
-        from graphtrack.report.methods import methods_section, methods_text
+        from graphtrack.report.methods import methods_lines, methods_section, methods_text
         from graphtrack.report.page import constants_section, observed_section, tracking_report
 
         learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
@@ -268,7 +268,7 @@ def smooth(
         sections = (
             *observed_section(checked),
             *constants_section(learned, names),
-            *methods_section(*words),
+            methods_section(methods_lines(*words)),
         )
         page = tracking_report(
             estimates,

@@ -83,6 +83,7 @@ _MODELS = {
 
 _ENGINES = {
     "chain": "by a Gauss–Newton method on the chain of each person's frames",
+    "online": "online by a Gauss–Newton method on the chain of each person's latest frames",
     "gtsam": "with GTSAM ({dellaert})",
     "isam2": "online by iSAM2 in GTSAM ({dellaert})",
     "fixed-lag": "online by a fixed-lag smoother in GTSAM ({dellaert})",
@@ -101,7 +102,7 @@ def methods_text(
 
     Parameters
     ----------
-    model, engine : of the run; the engine that "auto" resolves to
+    model, engine : of the run; the engine that "auto" resolves to, "online" for chain as it is online
     constants : learned constants of each person, or a word for those that were used
     summary : of the rows that were read; None: no data
     failed : number of tracks without an estimate
@@ -165,10 +166,14 @@ def _of_rows(summary: ReadSummary) -> str:
     return f"{found}; refused were {', '.join(refused)}." if refused else f"{found}, and none was refused."
 
 
-def methods_section(text: str, references: Iterable[Reference]) -> tuple[Section, ...]:
-    """Return the section with a methods paragraph, as `methods_text` returns it."""
-    works = tuple(Note(f"{one.cited}: {one.work}.") for one in references)
-    return (Section("Methods, for a paper", (Note(text), *works)),)
+def methods_lines(text: str, references: Iterable[Reference]) -> tuple[str, ...]:
+    """Return a methods paragraph and a line for each work, of what `methods_text` returns."""
+    return (text, *(f"{one.cited}: {one.work}." for one in references))
+
+
+def methods_section(lines: Iterable[str]) -> Section:
+    """Return the section with a methods paragraph, given `methods_lines`."""
+    return Section("Methods, for a paper", tuple(Note(line) for line in lines))
 
 
 def software_bibtex() -> str:

@@ -399,11 +399,12 @@ class _Run:
             own = own_models.is_file() and method not in FILTERS
             adapted = CameraModels.load(own_models).graph if own else lambda model: model
             with self.reports.progress(observations.n_frames, "person-frames") as advance:
-                found, summary = estimated(observations, self.camera, method, advance, adapted)
-            write(found, self.folder.file("tracks"))
-            return summary
+                found = estimated(observations, self.camera, method, advance, adapted)
+            write(found.tracks, self.folder.file("tracks"))
+            self._write_lines("methods", found.methods)
+            return found.notes
 
-        self.assumed += self.folder.stage("estimates", method, ("tracks",), work)
+        self.assumed += self.folder.stage("estimates", method, ("tracks", "methods"), work)
 
     def draw(self) -> None:
         """Stage 6: the annotated video."""
@@ -427,7 +428,6 @@ class _Run:
 
     def write_page(self, title: str, figures: bool) -> None:
         """Stage 7: the page, the view from above, and the assumptions."""
-        from graphtrack.io.atomic import atomic_path
         from perception.report_folder import FIGURES, background_of, write_above, write_page
 
         lines = tuple(self.assumed)
@@ -437,8 +437,7 @@ class _Run:
             heading = f"People in {title}"
             under = None if self.camera is None else background_of(self.frames, self.camera)
             write_above(self.folder.file("above"), f"{heading}, from above", estimates, observations, under)
-            with atomic_path(self.folder.file("assumptions")) as temporary:
-                temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            self._write_lines("assumptions", lines)
             video = self.folder.file("video")
             write_page(
                 self.folder.file("page"),
@@ -447,12 +446,19 @@ class _Run:
                 observations,
                 video,
                 lines,
+                self.folder.file("methods").read_text("utf-8").splitlines(),
                 under,
                 self.folder.path / FIGURES if figures else None,
             )
             return []
 
         self.folder.stage("page", (title, lines, figures), ("above", "assumptions", "page"), work)
+
+    def _write_lines(self, name: str, lines: Sequence[str]) -> None:
+        from graphtrack.io.atomic import atomic_path
+
+        with atomic_path(self.folder.file(name)) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     def view(self, showing: options.Showing) -> None:
         """Show the result in Rerun."""

@@ -166,7 +166,7 @@ def _smoothed(
     camera = lobby_camera()
     tracks = to_tracks(by_frame(people_observed), CLASSES.pans, camera, clock).tracks
     found: dict[tuple[int, int], float] = {}
-    for track in estimated(tracks, camera, "smoother", ignored, models.graph)[0]:
+    for track in estimated(tracks, camera, "smoother", ignored, models.graph).tracks:
         if track.body is None:
             continue
         angles = camera.image_angle(track.body, track.position)
@@ -246,7 +246,7 @@ def methods_table(folder: Path, seed: int, progress: Progress) -> Table:
     for method in METHODS:
         for news in (None, share):
             graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
-            found, _ = estimated(tracks, camera, method, ignored, graph)
+            found = estimated(tracks, camera, method, ignored, graph).tracks
             known = score(found, truth, metres=_MATCH).together
             rows.append(
                 {

@@ -20,6 +20,7 @@ from graphtrack.inference.offline import engine_of
 from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.model import Model
 from graphtrack.model.terms.orientation import HIDDEN
+from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
@@ -348,14 +349,36 @@ def associated(
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """Estimates of all people.
+
+    Attributes
+    ----------
+    tracks : with estimates
+    notes : the method, and tracks that are left out
+    methods : a methods paragraph, and the works that it cites
+    """
+
+    tracks: TrackSet
+    notes: list[str]
+    methods: tuple[str, ...]
+
+
+_FILTERED = {
+    "particle": "the joint particle filter of {chen}",
+    "ffbs": "a particle smoother, which samples paths backwards from the joint filter of {chen}",
+}
+
+
 def estimated(
     tracks: TrackSet,
     camera: GroundCamera,
     method: str,
     advance: Callable[[int], None],
     adapted: Callable[[Model], Model] = lambda model: model,
-) -> tuple[TrackSet, list[str]]:
-    """Estimate position, motion, body and head of all tracks; return them and notes.
+) -> Estimated:
+    """Estimate position, motion, body and head of all tracks.
 
     Parameters
     ----------
@@ -370,20 +393,28 @@ def estimated(
     InputError
         If no track can be estimated.
     """
-    chosen = make_method(method, adapted(own_model(method)))
+    model = adapted(Model.named(None) if method == "smoother" else own_model(method))
+    chosen = make_method(method, model)
     placed = replace(tracks, camera=camera)
     lines: list[str] = []
     if method == "smoother":
-        model = adapted(Model.named(None))
         found = solve_tracks(placed, model, engine_of(model), progress=advance)
         good = [result.track for result in found if isinstance(result, Solution)]
         bad = [one for one in found if not isinstance(one, Solution)]
         lines += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
     else:
-        good = []
+        good, bad = [], []
         for track in placed:
             good.append(chosen.run(track, camera))
             advance(len(track))
     if not good:
         raise InputError("no track that can be estimated", "people who are observed for longer")
-    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *lines]
+    if method in FILTERS:
+        words = with_references(f"Tracks were estimated by {_FILTERED[method]}.")
+    else:
+        offline = method == "smoother"
+        engine = engine_of(model) if offline else "online" if method == "chain" else method
+        constants = "learned" if offline else "the defaults"
+        words = methods_text(model, engine, constants=constants, summary=tracks.summary, failed=len(bad))
+    notes = [f"estimates by `{method}`: {chosen.information}", *lines]
+    return Estimated(placed.with_tracks(good), notes, methods_lines(*words))

@@ -214,7 +214,7 @@ def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTr
     for arguments in (
         ("-o", "boxes.parquet"),
         ("-o", "no/such/folder/boxes.csv"),
-        ("--render", "film.mkv"),
+        ("--render", "film.mov"),
         ("--render", "no/such/folder/film.mp4"),
         ("--foot-at", "99"),
         ("--middle-at", "1"),

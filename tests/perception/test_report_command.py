@@ -39,6 +39,7 @@ EVERYTHING = {
     "above.png",
     "report.html",
     "assumptions.txt",
+    "methods.txt",
     "stages.json",
 }
 
@@ -253,10 +254,11 @@ def test_every_method_estimates_angles_and_their_uncertainty(method: str) -> Non
     noisy = gt.simulate("joint", n_tracks=2, rng=np.random.default_rng(0))
     short = noisy.map(lambda track: track[:6])
     done: list[int] = []
-    found, said = estimated(short, pasted_street(1, np.random.default_rng(0)).camera, method, done.append)
-    assert sum(done) == short.n_frames == found.n_frames
-    assert method in said[0]
-    for track in found:
+    found = estimated(short, pasted_street(1, np.random.default_rng(0)).camera, method, done.append)
+    assert sum(done) == short.n_frames == found.tracks.n_frames
+    assert method in found.notes[0]
+    assert "Chen et al. 2011" in found.methods[0] and any("ICCV" in line for line in found.methods[1:])
+    for track in found.tracks:
         assert np.isfinite(track.std("body")).all() and np.isfinite(track.std("head")).all()
 
 
