@@ -1,9 +1,13 @@
 """Hidden people: shares of their pictures, and likelihoods that say less of them."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
+import pandas as pd
 import pytest
+from command import run
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,7 +16,10 @@ from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.terms.orientation import less_hidden
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
-from perception.observation.hidden import hidden_shares
+from perception.detection.boxes import PersonBox
+from perception.detection.keypoint_files import write_keypoints
+from perception.observation.hidden import cut_shares, hidden_shares, whole_box
+from perception.pose.keypoints import ANKLES, FACE, HIPS, KNEES, SHOULDERS, as_points
 
 MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
 SIZE = (640, 480)
@@ -31,6 +38,74 @@ def test_the_nearer_person_hides_the_other_as_far_as_the_boxes_overlap() -> None
     assert body == pytest.approx(0.5 * 0.75, abs=0.05) and head == 0.0
     assert in_front == own_head == 0.0
     assert (hidden_shares([nearer, ALONE], SIZE)[::-1] == [[body, head], [0.0, 0.0]]).all()
+
+
+HEIGHTS = ((FACE, 0.93), (SHOULDERS, 0.815), (HIPS, 0.53), (KNEES, 0.285), (ANKLES, 0.04))
+
+
+def standing(middle: float, foot: float, tall: float, border: float) -> tuple[tuple[float, ...], np.ndarray]:
+    """The visible box and the points of a person, of whom a pose network reports all, in the image or not."""
+    points = np.zeros((17, 3))
+    for pair, at in HEIGHTS:
+        points[list(pair)] = middle, foot - at * tall, 0.9
+        points[list(pair)[1:], 0] += 0.1 * tall
+        points[list(pair)[:1], 0] -= 0.1 * tall
+    left, right = max(middle - 0.2 * tall, 0.0), min(middle + 0.2 * tall, SIZE[0])
+    return (left, foot - tall, right - left, min(foot, border) - foot + tall), points
+
+
+@pytest.mark.parametrize("foot", [500.0, 560.0, 620.0])
+@pytest.mark.parametrize("tall", [200.0, 400.0])
+def test_the_border_cuts_feet_that_follow_from_the_lowest_visible_points(foot: float, tall: float) -> None:
+    box, points = standing(300.0, foot, tall, SIZE[1])
+    whole = whole_box(box, points, SIZE)
+    if foot - 0.815 * tall > SIZE[1]:  # no pair is visible
+        assert whole is None
+        return
+    assert whole is not None
+    np.testing.assert_allclose(whole, (box[0], foot - tall, box[2], tall), atol=1e-6)
+    np.testing.assert_allclose(cut_shares([whole], SIZE), (foot - SIZE[1]) / tall)
+    assert hidden_shares([whole], SIZE)[0, 0] > 0.5 * (foot - SIZE[1]) / tall
+    points[list(KNEES), 2] = points[list(HIPS), 2] = points[list(SHOULDERS), 2] = 0.1
+    assert whole_box(box, points, SIZE) is None
+
+
+def test_whole_people_keep_their_box() -> None:
+    for foot in (300.0, 479.5):  # also with the feet at the border
+        box, points = standing(300.0, foot, 200.0, SIZE[1])
+        assert whole_box(box, points, SIZE) is None
+        assert whole_box(box, np.zeros((17, 3)), SIZE) is None
+        np.testing.assert_array_equal(cut_shares([box], SIZE), 0.0)
+    assert cut_shares([], SIZE).shape == (0,)
+
+
+def test_the_middle_of_people_at_the_side_is_that_of_the_trunk() -> None:
+    box, points = standing(20.0, 300.0, 200.0, SIZE[1])
+    whole = whole_box(box, points, SIZE)
+    assert whole is None or whole[0] + whole[2] / 2.0 == pytest.approx(20.0)
+    points[:, 0] += 15.0  # both sides of the trunk are visible
+    box = (0.0, box[1], 75.0, box[3])
+    whole = whole_box(box, points, SIZE)
+    assert whole is not None
+    np.testing.assert_allclose(whole, (-5.0, 100.0, 80.0, 200.0))
+    np.testing.assert_allclose(cut_shares([whole], SIZE), 5.0 / 80.0)
+
+
+def test_rows_name_the_people_whom_the_border_cuts(tmp_path: Path) -> None:
+    """Their feet are below the border, and a note counts them."""
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    people = [standing(150.0, 400.0, 200.0, SIZE[1]), standing(400.0, 560.0, 200.0, SIZE[1])]
+    boxes = [PersonBox(0, k, box, keypoints=as_points(points)) for k, (box, points) in enumerate(people)]
+    write_keypoints(boxes, tmp_path / "k.json")
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    (tmp_path / "0.png").rename(folder / "0.png")
+    done = run("observe", folder, "--keypoints", tmp_path / "k.json", "-o", tmp_path / "o.csv")
+    assert done.returncode == 0 and "1 of 2 boxes are cut by the border" in done.stderr
+    rows = pd.read_csv(tmp_path / "o.csv").sort_values("u")
+    np.testing.assert_allclose(rows["input_body_cut"], [0.0, 0.4], atol=1e-3)
+    np.testing.assert_allclose(rows["v"], [400.0, 560.0], atol=0.1)
+    assert rows["input_body_hidden"].iloc[1] > 0.3
 
 
 def test_what_is_cut_by_the_border_is_hidden() -> None:
