@@ -190,8 +190,9 @@ def observe_frame(
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
     size = image.shape[1], image.shape[0]
-    usable = [_in_picture(item, size) for item in _usable(image, frame, boxes, refuse)]
+    usable = list(_usable(image, frame, boxes, refuse))
     whole = [whole_box(item.box, points_of(item), size) for item in usable]
+    usable = [_in_picture(item, size) for item in usable]
     areas = [item.box if area is None else area for item, area in zip(usable, whole, strict=True)]
     hidden, cut = hidden_shares(areas, size).tolist(), cut_shares(areas, size).tolist()
     for item in usable:
