@@ -27,10 +27,10 @@ _NEARER_HEAD = -0.15, 0.2
 away and up to 5 m high."""
 
 
-def whole_box(
+def full_box(
     box: tuple[float, float, float, float], points: FloatArray, size: tuple[int, int]
 ) -> tuple[float, float, float, float] | None:
-    """Return the box of a whole person whom the border of the image cuts, as one who stands; None: not cut.
+    """Return the full box of a person whom the border of the image cuts, as one who stands; None: not cut.
 
     Feet below the image follow from the top of the box and from the points above, in perspective, and from
     those below the border that the network reports. At a border on the left or right the trunk is the middle.
@@ -64,15 +64,15 @@ def whole_box(
         middle = points[trunk, 0].mean()
         half = max(middle - left, right - middle)
         left, right = middle - half, middle + half
-    whole = (float(left), float(top), float(right - left), float(bottom - top))
-    return None if whole == box else whole
+    full = (float(left), float(top), float(right - left), float(bottom - top))
+    return None if full == box else full
 
 
 def _foot_row(levels: FloatArray) -> float | None:
     """Return the row of the feet from levels (n, 3), from above; None: unknown.
 
-    Levels are heights, rows and 1-σ in heights. Rows of a vertical line are (a + b·h)/(1 + c·h) of the height h,
-    with c of the prior `_NEARER_HEAD`.
+    Levels are heights, rows and 1-σ in heights. Rows of a vertical line are (a + b·h)/(1 + c·h) of the height
+    h, with c of the prior `_NEARER_HEAD`.
     """
     if len(levels) < 2 or levels[-1, 1] <= levels[0, 1]:
         return None

@@ -28,8 +28,8 @@ from perception.observation.hidden import (
     HEAD_MIDDLE,
     HEAD_WIDTH,
     cut_shares,
+    full_box,
     hidden_shares,
-    whole_box,
 )
 from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
@@ -54,7 +54,7 @@ class PersonObservation:
     standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
     hidden : shares of body and head that are hidden, 0…1 (`hidden_shares`)
     cut : share of the body beyond the border of the image, 0…1 (`cut_shares`)
-    whole : box of the whole person, by keypoints, where the border cuts it (`whole_box`)
+    full : box of the person, by keypoints, where the border cuts it (`full_box`)
     """
 
     frame: int
@@ -68,17 +68,17 @@ class PersonObservation:
     standing: LeaningPose | None = None
     hidden: tuple[float, float] = (0.0, 0.0)
     cut: float = 0.0
-    whole: tuple[float, float, float, float] | None = None
+    full: tuple[float, float, float, float] | None = None
 
     @property
     def height(self) -> float:
         """Height of the person's box, or length of a leaning person, in pixels."""
-        return (self.whole or self.box)[3] if self.standing is None else self.standing.length
+        return (self.full or self.box)[3] if self.standing is None else self.standing.length
 
     @property
     def foot(self) -> FloatArray:
         """(2,) pixels."""
-        at = foot_point(self.whole or self.box) if self.standing is None else self.standing.foot
+        at = foot_point(self.full or self.box) if self.standing is None else self.standing.foot
         return np.asarray(at, float)
 
 
@@ -191,9 +191,9 @@ def observe_frame(
     light = light_of(image) if models.appearance else None
     size = image.shape[1], image.shape[0]
     usable = list(_usable(image, frame, boxes, refuse))
-    whole = [whole_box(item.box, points_of(item), size) for item in usable]
+    full = [full_box(item.box, points_of(item), size) for item in usable]
     usable = [_in_picture(item, size) for item in usable]
-    areas = [item.box if area is None else area for item, area in zip(usable, whole, strict=True)]
+    areas = [item.box if area is None else area for item, area in zip(usable, full, strict=True)]
     hidden, cut = hidden_shares(areas, size).tolist(), cut_shares(areas, size).tolist()
     for item in usable:
         standing = leaning_pose_in(models.view, item.box)
@@ -204,8 +204,8 @@ def observe_frame(
             people = []
     people_observed += _look(image, people, models, light)
     return [
-        replace(one, hidden=(of_body, of_head), cut=beyond, whole=area)
-        for one, (of_body, of_head), beyond, area in zip(people_observed, hidden, cut, whole, strict=True)
+        replace(one, hidden=(of_body, of_head), cut=beyond, full=area)
+        for one, (of_body, of_head), beyond, area in zip(people_observed, hidden, cut, full, strict=True)
     ]
 
 

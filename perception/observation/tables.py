@@ -219,7 +219,7 @@ def cut_note(frames: Mapping[int, FrameObservation]) -> list[str]:
         return []
     count = sum(len(known.people) for known in frames.values())
     line = f"{len(items)} of {count} boxes are cut by the border of the image (input_{CUT} of the rows)"
-    standing = sum(item.whole is not None for item in items)
+    standing = sum(item.full is not None for item in items)
     rest = f": in {standing} the feet follow from keypoints, as of people who stand" if standing else ""
     return [line + rest]
 

@@ -18,7 +18,7 @@ from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.detection.boxes import PersonBox
 from perception.detection.keypoint_files import write_keypoints
-from perception.observation.hidden import cut_shares, hidden_shares, whole_box
+from perception.observation.hidden import cut_shares, full_box, hidden_shares
 from perception.pose.keypoints import ANKLES, FACE, HIPS, KNEES, SHOULDERS, as_points
 
 MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
@@ -74,47 +74,47 @@ def test_feet_below_the_border_follow_from_the_points_above(
     box, points = standing(300.0, foot, tall, SIZE[1], nearer=nearer)
     if not reported:
         points[points[:, 1] >= SIZE[1]] = 0.0
-    whole = whole_box(box, points, SIZE)
-    assert whole is not None and whole[:3] == (box[0], box[1], box[2])
-    error = abs(whole[1] + whole[3] - foot) / tall
+    full = full_box(box, points, SIZE)
+    assert full is not None and full[:3] == (box[0], box[1], box[2])
+    error = abs(full[1] + full[3] - foot) / tall
     # A head that is nearer by .4 is beyond the 1-σ of the prior.
     assert error < (0.03 if reported else 0.1 if nearer < 0.3 else 0.31)
     assert foot < 550.0 or error < (foot - SIZE[1]) / tall
-    np.testing.assert_allclose(cut_shares([whole], SIZE), 1.0 - box[3] / whole[3])
-    assert foot < 550.0 or hidden_shares([whole], SIZE)[0, 0] > 0.5 * (1.0 - box[3] / whole[3])
+    np.testing.assert_allclose(cut_shares([full], SIZE), 1.0 - box[3] / full[3])
+    assert foot < 550.0 or hidden_shares([full], SIZE)[0, 0] > 0.5 * (1.0 - box[3] / full[3])
     points[:, 2] = np.minimum(points[:, 2], 0.1)
     points[points[:, 1] >= SIZE[1], 2] = 0.0
-    assert whole_box(box, points, SIZE) is None
+    assert full_box(box, points, SIZE) is None
 
 
 def test_people_without_a_top_need_two_levels() -> None:
     box, points = standing(300.0, 600.0, 640.0, SIZE[1])
     points[points[:, 1] >= SIZE[1]] = 0.0
-    whole = whole_box((box[0], 0.0, box[2], 480.0), points, SIZE)
-    assert whole is not None and abs(whole[1] + whole[3] - 600.0) < 0.1 * 640.0
+    full = full_box((box[0], 0.0, box[2], 480.0), points, SIZE)
+    assert full is not None and abs(full[1] + full[3] - 600.0) < 0.1 * 640.0
     points[list(SHOULDERS)] = points[list(KNEES)] = 0.0
-    assert whole_box((box[0], 0.0, box[2], 480.0), points, SIZE) is None
+    assert full_box((box[0], 0.0, box[2], 480.0), points, SIZE) is None
 
 
 def test_whole_people_keep_their_box() -> None:
     for foot in (300.0, 479.5):  # also with the feet at the border
         box, points = standing(300.0, foot, 200.0, SIZE[1])
-        assert whole_box(box, points, SIZE) is None
-        assert whole_box(box, np.zeros((17, 3)), SIZE) is None
+        assert full_box(box, points, SIZE) is None
+        assert full_box(box, np.zeros((17, 3)), SIZE) is None
         np.testing.assert_array_equal(cut_shares([box], SIZE), 0.0)
     assert cut_shares([], SIZE).shape == (0,)
 
 
 def test_the_middle_of_people_at_the_side_is_that_of_the_trunk() -> None:
     box, points = standing(20.0, 300.0, 200.0, SIZE[1])
-    whole = whole_box(box, points, SIZE)
-    assert whole is None or whole[0] + whole[2] / 2.0 == pytest.approx(20.0)
+    full = full_box(box, points, SIZE)
+    assert full is None or full[0] + full[2] / 2.0 == pytest.approx(20.0)
     points[:, 0] += 15.0  # both sides of the trunk are visible
     box = (0.0, box[1], 75.0, box[3])
-    whole = whole_box(box, points, SIZE)
-    assert whole is not None
-    np.testing.assert_allclose(whole, (-5.0, 100.0, 80.0, 200.0))
-    np.testing.assert_allclose(cut_shares([whole], SIZE), 5.0 / 80.0)
+    full = full_box(box, points, SIZE)
+    assert full is not None
+    np.testing.assert_allclose(full, (-5.0, 100.0, 80.0, 200.0))
+    np.testing.assert_allclose(cut_shares([full], SIZE), 5.0 / 80.0)
 
 
 def test_rows_name_the_people_whom_the_border_cuts(tmp_path: Path) -> None:
