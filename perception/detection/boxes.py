@@ -29,7 +29,9 @@ from perception.pose.keypoints import (
     KNOWN,
     N_POINTS,
     SHOULDERS,
+    Joints,
     Points,
+    as_joints,
     as_points,
     in_coco_order,
 )
@@ -47,6 +49,7 @@ class PersonBox:
     identified : False: no identity is known, and the id is a unique number
     score : (detections without identities) confidence as read by graphtrack, at least 0; None: not known
     keypoints : COCO's 17 points; None: no pose network was run
+    joints : the same points in space; None: not known
     """
 
     frame: int
@@ -56,6 +59,7 @@ class PersonBox:
     identified: bool = True
     score: float | None = None
     keypoints: Points | None = None
+    joints: Joints | None = None
 
 
 def read_boxes(
@@ -169,14 +173,21 @@ class FrameDetections:
     boxes : (n, 4) left, top, width, height in pixels; NaN where only points are known
     scores : (n,) from 0 to 1
     points : (n, 17, 3) COCO's points with their confidences; None: without keypoints
+    joints : (n, 17, 3) the same points in space, as `Joints`; NaN, or None: not known
     """
 
     boxes: FloatArray
     scores: FloatArray
     points: FloatArray | None = None
+    joints: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    def pose(self, k: int) -> tuple[Points | None, Joints | None]:
+        """Return the points of a person in the image and in space."""
+        joints = None if self.joints is None or np.isnan(self.joints[k]).any() else as_joints(self.joints[k])
+        return None if self.points is None else as_points(self.points[k]), joints
 
 
 _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes
@@ -230,10 +241,9 @@ def boxes_of(
             if box is None:
                 without += 1
                 continue
-            points = None if people.points is None else as_points(people.points[k])
             left, top, width, height = box.tolist()
-            number = len(boxes) + 1
-            boxes.append(PersonBox(frame, number, (left, top, width, height), score, False, score, points))
+            known = (left, top, width, height), score, False, score, *people.pose(k)
+            boxes.append(PersonBox(frame, len(boxes) + 1, *known))
     if without:
         refuse(f"{without} people whose keypoints do not locate their feet")
     return boxes
@@ -264,7 +274,8 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, FrameDetectio
         for row, k in zip(*linear_sum_assignment(fit, maximize=True), strict=True):
             if fit[row, k] > 0.0:
                 place = rows[row]
-                result[place] = replace(result[place], keypoints=as_points(people.points[k]))
+                points, joints = people.pose(int(k))
+                result[place] = replace(result[place], keypoints=points, joints=joints)
     return result
 
 
@@ -289,6 +300,11 @@ def _fit(box: tuple[float, float, float, float], people: FrameDetections, k: int
 def points_of(item: PersonBox) -> FloatArray:
     """Return the keypoints (17, 3) of a box; all 0 if it has none."""
     return np.zeros((N_POINTS, 3)) if item.keypoints is None else np.array(item.keypoints, float)
+
+
+def box_joints(item: PersonBox) -> FloatArray:
+    """Return the keypoints (17, 3) of a box in space; NaN if it has none."""
+    return np.full((N_POINTS, 3), np.nan) if item.joints is None else np.array(item.joints, float)
 
 
 def from_supervision(
