@@ -272,7 +272,7 @@ class ObserveJob:
         moving = self._moving(frames)
         networks = network.load(frames)
         first, note = self.boxes_first_frame, self.reports
-        people = read_given_boxes(boxes, frames.first, first, refused.setdefault, note)
+        people = read_given_boxes(boxes, frames, first, refused.setdefault, note)
         identified = people is not None and (not people or people[0].identified)
         if output is not None and not identified:
             check_table_name(output)

@@ -179,7 +179,7 @@ def report_folder(
         check_camera(known, frames.size())
     networks = network.load(frames)
     refused: dict[str, None] = {}
-    given = read_given_boxes(boxes, frames.first, boxes_first_frame, refused.setdefault, reports)
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault, reports)
     folder = ReportFolder(output, _STAGES, reports.emit)
     folder.open()
     run = _Run(folder, frames, camera.clock(frames), known, networks, person_height, seed, reports)

@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
 from graphtrack.io.cameras import with_scores
+from graphtrack.io.formats.boxes import YOLO
 from graphtrack.io.formats.mot import FROM_ZERO, MOT, SHIFTED
 from graphtrack.io.libraries import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
 from graphtrack.io.options import ReadOptions
@@ -68,9 +69,10 @@ def read_boxes(
     *,
     first: int | None = None,
     named: int | None = None,
+    size: tuple[int, int] | None = None,
     note: Callable[[str], object] = lambda line: None,
 ) -> list[PersonBox]:
-    """Read the boxes of a file of any format with boxes (MOT text, COCO, CAVIAR, Town Centre), in file order.
+    """Read the boxes of a file of any format with boxes, or of a folder of YOLO's labels, in their order.
 
     If all ids are −1, as for detections, the boxes are numbered from 1.
 
@@ -79,8 +81,9 @@ def read_boxes(
     refuse : receives the number of rows excluded by the file (marked to be ignored, classes other than
         pedestrians), and of rows without a box
     first : number of the first frame of the boxes' recording; None: frames are the file's
-    named : number of that frame in the file; None: 1 in MOT text, unless it has a frame 0, and ``first`` in
-        all other formats
+    named : number of that frame in the file; None: 1 in MOT text and YOLO's labels, unless they have a frame
+        0, and ``first`` in all other formats
+    size : columns and rows of the images, for boxes relative to them
     note : receives a sentence on the correspondence of the frames of file and recording
 
     Raises
@@ -89,7 +92,7 @@ def read_boxes(
         With line and column of the first unusable cell, such as a box of zero size or an id of −1 among
         others; and with the line of a person's second box in a frame.
     """
-    rows = boxes_of_file(path, None, ReadOptions())
+    rows = boxes_of_file(path, None, ReadOptions(image_size=size))
     if rows is None:
         formats = ", ".join(one.name for one in all_formats() if one.read_boxes is not None)
         raise InputError("a format without boxes", f"one of {formats}", path=path)
@@ -114,19 +117,24 @@ def read_boxes(
     ]
 
 
+_FROM_ONE = {MOT.name: "MOT text", YOLO.name: "YOLO's labels"}
+"""Formats whose frames are numbered from 1."""
+
+
 def _numbering(rows: Rows, first: int, named: int | None) -> tuple[int, str]:
     """Return the offset of a file's frames from the recording's, and a sentence on the reason."""
     if named is not None:
         return named - first, f"frame {named} is the first of the recording, as asked for"
     if SHIFTED in rows.notes:
         return 0, SHIFTED
-    if rows.format != MOT.name:
+    if rows.format not in _FROM_ONE:
         return 0, "frames are those of the recording"
+    kind = _FROM_ONE[rows.format]
     if (rows.frame == 0).any():
-        return 0, "frames begin at 0, not at 1 as in MOT text, and are used as those of the recording"
+        return 0, f"frames begin at 0, not at 1 as in {kind}, and are used as those of the recording"
     if first == 0:
-        return 1, "frame 1 of MOT text is the first of the recording, which is numbered 0"
-    return 0, "frames of MOT text are those of the numbered images"
+        return 1, f"frame 1 of {kind} is the first of the recording, which is numbered 0"
+    return 0, f"frames of {kind} are those of the numbered images"
 
 
 def write_boxes(boxes: Iterable[PersonBox], path: str | Path, *, first: int = 0) -> None:
