@@ -260,7 +260,7 @@ def test_independent_work_is_compiled_by_several_processes(tmp_path) -> None:
     (tmp_path / "program.py").write_text(TOGETHER)
     status, output, log = run_with(tmp_path / "code", tmp_path / "program.py")
     assert (status, output) == (0, "[0, 1]"), log
-    assert len(log) == 2 and log[0].endswith("about 5 s …")
+    assert len(log) == 2 and log[0].endswith("from 5 s on …")
     assert run_with(tmp_path / "code", tmp_path / "program.py") == (0, "[1, 1]", [])
 
 
