@@ -431,8 +431,8 @@ def _height_data(
     rng: np.random.Generator,
 ) -> tuple[HeightData | None, int]:
     """Return the observations in the boxes that are kept (None: too few), and the number of people."""
-    whole = [boxes[k] for k in kept.tolist()]
-    observed = spread_rows(whole, tracks[kept])
+    complete = [boxes[k] for k in kept.tolist()]
+    observed = spread_rows(complete, tracks[kept])
     first = np.array([rows[0] for rows in observed], np.int64)
     chosen = thinned(np.unique(tracks[kept][first], return_inverse=True)[1], _MOST_OBSERVATIONS, rng)
     _, start, person = np.unique(tracks[kept][first[chosen]], return_index=True, return_inverse=True)
@@ -440,8 +440,8 @@ def _height_data(
     if len(people) < _LEAST_PEOPLE or len(chosen) < _LEAST_OBSERVATIONS:
         return None, len(people)
     width = float(max(size))
-    feet = (np.array([foot_point(item.box) for item in whole]) - np.array(size) / 2.0) / width
-    log_height = np.log(np.array([item.box[3] for item in whole]) / width)
+    feet = (np.array([foot_point(item.box) for item in complete]) - np.array(size) / 2.0) / width
+    log_height = np.log(np.array([item.box[3] for item in complete]) / width)
     data = HeightData(
         np.array([np.median(feet[observed[k]], axis=0) for k in chosen.tolist()]),
         np.array([np.median(log_height[observed[k]]) for k in chosen.tolist()]),

@@ -93,7 +93,7 @@ class PinholeView:
 
 def up_of(tilt: float | FloatArray, roll: float | FloatArray) -> FloatArray:
     """The vertical (3, ...) in the camera's axes: image right, image down, and ahead."""
-    return np.stack([np.sin(roll) * np.cos(tilt), -np.cos(roll) * np.cos(tilt), -np.sin(tilt)])
+    return np.array([np.sin(roll) * np.cos(tilt), -np.cos(roll) * np.cos(tilt), -np.sin(tilt)])
 
 
 def lens_of(vector: FloatArray, corner: float) -> FloatArray:
@@ -373,9 +373,11 @@ def _climbed(
     return ViewFit(vector, covariance, state.error, state.deviation, inliers, score)
 
 
-_FEW = 8.0
-_LOOSE = 2.0
-"""Ratio of scatter to information that is assumed, and its weight in people."""
+_FEW, _ASSUMED, _LEAST = 8.0, 2.0, 1.5
+"""Ratio of scatter to information: people that count for an assumed one, that ratio, and the least of all.
+
+The least is measured: with 1 the intervals of exact boxes hold in 85 to 90 % of simulated streets.
+"""
 
 
 def _information(data: HeightData, vector: FloatArray) -> float:
@@ -395,7 +397,7 @@ def _information(data: HeightData, vector: FloatArray) -> float:
     found = np.diag(bread @ scatter @ bread)
     asked = [FOCAL, TILT, HEIGHT]
     ratio = float((found[asked] / expected[asked]).max())
-    return 1.0 / max(1.0, (people * ratio + _FEW * _LOOSE) / (people + _FEW))
+    return 1.0 / max(_LEAST, (people * ratio + _FEW * _ASSUMED) / (people + _FEW))
 
 
 @dataclass(eq=False)
