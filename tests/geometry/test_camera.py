@@ -229,7 +229,7 @@ def test_a_written_scale_is_read_and_a_negative_one_is_refused(tmp_path):
     write_scale(tmp_path / "scale.ci", 0.02)
     assert read_calibration(tmp_path / "scale.ci") == GroundCamera.from_scale(0.02)
     write_scale(tmp_path / "scale.ci", -0.02)
-    with pytest.raises(InputError, match="a scale of -0.02 m a pixel"):
+    with pytest.raises(InputError, match=r"a scale of -0\.02 m a pixel"):
         read_calibration(tmp_path / "scale.ci")
 
 
