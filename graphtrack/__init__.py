@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from graphtrack.graphs import graph_of, tracks_of
     from graphtrack.inference import Estimate, Failure, Solution, SolverOptions
     from graphtrack.inference.graph.recording import key_of
-    from graphtrack.interaction.attention import GazeTargets, OnlineAttention
+    from graphtrack.interaction.attention import GazeTargets, OnlineAttention, attention
     from graphtrack.interaction.crowd import CrowdMeasures, crowd_measures
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
@@ -34,9 +34,12 @@ if TYPE_CHECKING:
     from graphtrack.io.outputs import to_polars, to_supervision
     from graphtrack.io.read_write import write
     from graphtrack.io.sensors import SensorScene
+    from graphtrack.learning.fit import fit
     from graphtrack.learning.sensors import learn_sensors
     from graphtrack.model import Cost, Model, Observation, Parameters, Term, chord, presets, term
+    from graphtrack.model.observation import observations
     from graphtrack.report.page import write_report
+    from graphtrack.service.client import StreamClient
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
     from graphtrack.smoothing import smooth, solve
@@ -84,15 +87,18 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "StateScore",
+    "StreamClient",
     "Term",
     "Track",
     "TrackSet",
     "TrackingScore",
     "add_noise",
     "associate",
+    "attention",
     "chord",
     "compare",
     "crowd_measures",
+    "fit",
     "forecast",
     "from_movement",
     "from_pedpy",
@@ -102,6 +108,7 @@ __all__ = [
     "groups",
     "key_of",
     "learn_sensors",
+    "observations",
     "presets",
     "read",
     "score",
@@ -139,7 +146,7 @@ _HOMES = {
     "graphs": "graph_of tracks_of",
     "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",
-    "interaction.attention": "GazeTargets OnlineAttention",
+    "interaction.attention": "GazeTargets OnlineAttention attention",
     "interaction.crowd": "CrowdMeasures crowd_measures",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
@@ -150,9 +157,12 @@ _HOMES = {
     "io.formats.movement": "from_movement to_movement",
     "io.formats.pedpy": "from_pedpy to_pedpy",
     "io.libraries": "to_geopandas",
+    "learning.fit": "fit",
     "learning.sensors": "learn_sensors",
     "model": "Cost Model Observation Parameters Term chord presets term",
+    "model.observation": "observations",
     "report.page": "write_report",
+    "service.client": "StreamClient",
     "simulation.degrade": "add_noise",
     "simulation.sampling": "simulate",
     "smoothing": "smooth solve",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +19,24 @@ from perception.observation.tables import Observations
 
 def _path(given: str | Path | None) -> Path | None:
     return None if given is None else Path(given)
+
+
+def _network(given: NetworkOptions | None) -> NetworkOptions:
+    """Return the options, whose files may be given as text."""
+    one = given or NetworkOptions()
+    return replace(one, detector=_path(one.detector), keypoints=_path(one.keypoints))
+
+
+def _model(given: ModelOptions | None) -> ModelOptions:
+    """Return the options, whose files may be given as text."""
+    one = given or ModelOptions()
+    return replace(
+        one,
+        head_pose_model=_path(one.head_pose_model),
+        body_pose_model=_path(one.body_pose_model),
+        head_localiser_model=_path(one.head_localiser_model),
+        camera_models=_path(one.camera_models),
+    )
 
 
 def _camera(
@@ -94,8 +113,8 @@ def observe(
         MotionOptions(
             _path(homographies), _path(poses), pose_axes, video_start, follow_camera, reference_frame
         ),
-        network or NetworkOptions(),
-        model or ModelOptions(),
+        _network(network),
+        _model(model),
         boxes=_path(boxes),
         boxes_first_frame=boxes_first_frame,
         write_boxes_to=_path(write_boxes),
@@ -218,7 +237,7 @@ def report(
         Path(video),
         Path(output),
         _camera(homography, point_pairs, calibration, fps),
-        network or NetworkOptions(),
+        _network(network),
         boxes=_path(boxes),
         boxes_first_frame=boxes_first_frame,
         adapt=adapt,

@@ -48,11 +48,12 @@ _PASSES = ((8, 2e-3), (4, 5e-4), (3, 1e-4))  # passes over all skeletons and lea
 
 _TRAINED_ON = (
     "skeletons of people who walk and stand, 20-400 pixels high, before random cameras up to 60 degrees "
-    "above, with points that are displaced, uncertain, hidden or exchanged as a pose network's"
+    "above, with points that are displaced, uncertain, hidden or exchanged as a pose network's; a quarter as "
+    "of networks whose confidences do not follow occlusion"
 )
 _FAILS = (
-    "not evaluated on real networks; people bent, sitting or lying, views from straight above, networks "
-    "that are confident of hidden points"
+    "evaluated on one real network, MediaPipe's on walkers of Town Centre, which takes 28 % of backs for "
+    "fronts; people bent, sitting or lying, views from straight above"
 )
 
 

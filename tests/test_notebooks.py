@@ -33,7 +33,7 @@ def test_the_first_output_is_the_tracks_in_a_line_and_a_table():
 
 def test_what_the_first_run_on_a_machine_says_is_not_stored():
     tells = runpy.run_path(str(FOLDER / "execute.py"))["tells_of_compiling"]
-    said = "compiling the solver, once on this machine: about 60 s …\ncompiled in 58 s\n"
+    said = "compiling the solver, once on this machine: from 60 s on …\ncompiled in 58 s\n"
     outputs = [("stderr", said), ("stdout", said), ("stderr", "UserWarning\n" + said)]
     made = [nbformat.v4.new_output("stream", name=name, text=text) for name, text in outputs]
     assert [tells(output) for output in made] == [True, False, False]

@@ -7,6 +7,7 @@ import gc
 import json
 import logging
 import re
+import shlex
 import sys
 import time
 import warnings
@@ -199,15 +200,23 @@ def input_warnings_as_notes() -> Iterator[None]:
 def write_tracks(
     tracks: TrackSet, output: Path, *, spreadsheet: bool = False, intervals: float | None = None
 ) -> None:
-    """Write tracks in the format given by the file name, and print the writer's notes.
+    """Write tracks in the format given by the file name; print the writer's notes, and how a table is read.
 
     ``spreadsheet``: see `graphtrack.write`; ``intervals``: per cent, or None
     """
+    from graphtrack.io.options import options_to_read
     from graphtrack.io.read_write import write
+    from graphtrack.io.registry import format_for_writing
+    from graphtrack.tracks.track import columns_as_read
 
     with input_warnings_as_notes():
         share = None if intervals is None else intervals / 100.0
         write(tracks, output, spreadsheet=spreadsheet, intervals=share)
+    written = columns_as_read(tracks[:1]).keys()
+    keeps_names = format_for_writing(output).write_columns is not None
+    if keeps_names and (again := options_to_read(tracks.as_read, written)):
+        words = [word for name, value in again.items() for word in (f"--{name.replace('_', '-')}", value)]
+        emit(f"  {output} is read by: {printable(shlex.join(words), one_line=True)}")
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:

@@ -29,11 +29,12 @@ LARGE = 512 * 2**20
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
     """Return True if an input is streamed: on request, on a cluster, or a folder or large file."""
-    from graphtrack.io.format import is_recording
+    from graphtrack.io.format import is_recording, label_files
 
     if asked is not None:
         return asked or cluster is not None
-    if cluster is not None or any(table_in(path).is_dir() and not is_recording(path) for path in inputs):
+    folders = [path for path in inputs if table_in(path).is_dir()]
+    if cluster is not None or any(not (is_recording(path) or label_files(path)) for path in folders):
         return True
     if len(inputs) != 1 or not (_is_parquet(inputs[0]) and _is_parquet(output)):
         return False

@@ -129,6 +129,9 @@ class ChannelNoise:
         if not lines:
             return None
         end = "corrected" if corrected else "graphtrack smooth --trust learn corrects it"
+        angles = self.wrong_angles
+        if angles is not None and angles.is_gross and not angles.is_mirrored:
+            end += "; --trust declared keeps angles of people who do not face their motion"
         return f"{self.name}: {' and '.join(lines)}; {end}"
 
 

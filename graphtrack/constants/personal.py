@@ -417,7 +417,11 @@ def parameters_of(constants: PersonalConstants, model: Model) -> dict[str, float
     found |= {name: float(value[0]) for name, value in _strengths(coupling, model, 1).items()}
     for name in ("position_std", "pixel_std"):
         if name in constants.noise:
-            found[f"likelihood.{name}"] = constants.noise[name]
+            # Where that of positions was learned, pixels were judged on the ground.
+            found |= {
+                f"likelihood.{name}": constants.noise[name],
+                "likelihood.image_frame": name == "pixel_std",
+            }
     for name in ("body", "head"):
         if f"{name}_std" in constants.noise:
             found[f"likelihood.{name}_kappa"] = constants.noise[f"{name}_std"] ** -2

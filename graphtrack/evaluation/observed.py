@@ -10,6 +10,8 @@ import numpy as np
 from scipy.special import chdtri
 from scipy.stats import vonmises
 
+from graphtrack.constants.filters import Persistent
+from graphtrack.constants.noise import with_offset
 from graphtrack.constants.personal import parameters_of
 from graphtrack.constants.prediction import LEAST, Observed
 from graphtrack.evaluation.metrics import CONFIDENCES, TrackCalibration, calibration_rows
@@ -66,7 +68,8 @@ def _calibration(
     estimate = solution.track
     if estimate.covariance is None or len(estimate) != len(track):
         return {}
-    parameters = _believed(solution, model)
+    parameters, estimate = _believed(solution, model), _without_offset(solution, camera)
+    assert estimate.covariance is not None
     given = Observed.of([track], parameters, camera)
     found = {"position": (_of_positions(given, estimate), 2)}
     for name, place, angle, kappa in given.angles:
@@ -86,6 +89,16 @@ def _believed(solution: Solution, model: Model) -> Parameters:
     noise = "likelihood."
     own: dict[str, Any] = {key.removeprefix(noise): known[key] for key in known if key.startswith(noise)}
     return replace(model.parameters, likelihood=replace(model.parameters.likelihood, **own))
+
+
+def _without_offset(solution: Solution, camera: GroundCamera | None) -> Track:
+    """Return the estimates without the variance of an offset that all of a person's observations share."""
+    estimate, noise = solution.track, {} if solution.constants is None else solution.constants.noise
+    assert estimate.covariance is not None
+    offset = Persistent(noise.get("offset_along", 0.0), noise.get("offset_across", 0.0))
+    added = with_offset(replace(estimate, covariance=np.zeros_like(estimate.covariance)), offset, camera)
+    assert added.covariance is not None
+    return replace(estimate, covariance=estimate.covariance - added.covariance)
 
 
 def _summary(squares: FloatArray, degrees: int) -> TrackCalibration:

@@ -137,6 +137,8 @@ def _without_brackets(name: str) -> tuple[str, str]:
 def meanings(names: Iterable[str]) -> dict[str, str]:
     """Return key of ``--columns`` → name, for the columns with well-known names."""
     known = {name: plain(name) for name in names}
+    if any(word in _OF_BOXES[CLASS] for word, _ in known.values()):
+        known = {name: word for name, word in known.items() if word[0] != "name"}  # that of the class
     found: dict[str, str] = {}
     for key, words in _MEANINGS.items():
         units = _UNITS.get(key, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack, get_args
@@ -17,9 +17,10 @@ from graphtrack.geometry.poses import PosePath
 from graphtrack.io.sensors import SensorScene, SensorsLike
 from graphtrack.io.text import check_decimal, check_encoding, delimiter_of
 from graphtrack.limits import MemoryLimit
-from graphtrack.tracks.cells import WILD, Layout
+from graphtrack.tracks.cells import METRES, WILD, Layout
 from graphtrack.tracks.schema import BOX_KEYS, CLASS, is_column
 from graphtrack.tracks.table import ANGLES, DEGREES, AsRead
+from graphtrack.tracks.time import UNIT_OF
 from graphtrack.tracks.validation import check_frame_rate, check_positive, is_number
 
 SHORT = {"id": "track_id", "time": "t"}
@@ -53,6 +54,40 @@ def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:
             raise InputError(f"column {name!r} for two meanings", "one meaning for each column")
         found[native] = name
     _check_places(found)
+    return found
+
+
+def columns_text(columns: Mapping[str, str]) -> str:
+    """Return the text that `parse_columns` reads."""
+    pairs = ["=".join(pair) for pair in columns.items()]
+    return ",".join(
+        '"' + pair.replace('"', '""') + '"' if "," in pair or '"' in pair else pair for pair in pairs
+    )
+
+
+def options_to_read(as_read: AsRead | None, written: Collection[str]) -> dict[str, str]:
+    """Return the options that read a table again that was written with the names and units of another.
+
+    Parameters
+    ----------
+    as_read : names and units
+    written : columns of the table
+    """
+    if as_read is None:
+        return {}
+    renamed = {
+        "id" if key == "track_id" else key: name
+        for key, name in as_read.columns.items()
+        if key != name and name in written
+    }
+    found = {"columns": columns_text(renamed)} if renamed else {}
+    scale = as_read.time
+    if scale is not None and scale.kind == "number" and (unit := UNIT_OF.get(scale.unit, "s")) != "s":
+        found["time_unit"] = unit
+    if as_read.metre != 1.0:
+        found["units"] = next(unit for unit, metre in METRES.items() if metre == as_read.metre)
+    if as_read.angles is not None:
+        found["angles"] = str(as_read.angles)
     return found
 
 

@@ -30,13 +30,13 @@ from graphtrack.io.column_names import (
     wide,
 )
 from graphtrack.io.format import PARQUET, recognised
-from graphtrack.io.options import ReadOptions
+from graphtrack.io.options import ReadOptions, columns_text
 from graphtrack.io.read_write import cells_of_file, rows_of_file
 from graphtrack.io.source import Source
 from graphtrack.io.text import SEP_LINE, csv_rows, in_utf8, is_blank
 from graphtrack.tracks.cells import Cells, is_empty
 from graphtrack.tracks.display import listed, shortened
-from graphtrack.tracks.schema import BOXES, is_column
+from graphtrack.tracks.schema import BOXES, is_column, unknown
 from graphtrack.tracks.table import NO_PIXEL_CAMERA, Rows
 from graphtrack.tracks.time import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.tracks.track import TrackSet
@@ -236,7 +236,7 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
             f"{_CAMERA}, next to --suggest",
             path=path,
         )
-    found = found.with_option("columns", ",".join(map(_pair, chosen.items())))
+    found = found.with_option("columns", columns_text(chosen))
     if "t" not in chosen:
         found = _with_rate(found)
     else:
@@ -247,7 +247,7 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
     for key in ("body_deg", "head_deg", "body_rad", "head_rad"):
         if key in chosen:
             unit = "degrees" if key.endswith("deg") else "radians"
-            found = found.with_remark(f"{shortened(chosen[key])} is read as {unit}, counter-clockwise from x")
+            found = found.with_remark(f"{shortened(chosen[key])} is read as {unit}")
     return _with_units(path, found, chosen)
 
 
@@ -264,8 +264,10 @@ def _by_names(names: list[str], cells: Cells) -> dict[str, str]:
     elif not {"x", "lat"} & chosen.keys():
         pairs = wide(names)
         chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
-    further = [name for name in names if name not in chosen.values() and not is_column(name)]
+    further = [name for name in unknown(names) if name not in chosen.values()]
     for part, name in angle_columns(further).items():
+        if {f"{part}_deg", f"{part}_rad"} & {*names}:
+            continue
         unit = angle_unit(name)
         if not unit:
             values = [abs(one) for cell in cells.columns[name][:_ROWS] if (one := parse_number(str(cell)))]
@@ -345,11 +347,6 @@ def _jumps(frame: NDArray[np.float64], track_id: NDArray[np.float64], place: NDA
     if not same.any() or (np.diff(frame[order])[same] == 0.0).any():
         return float("inf")
     return float(np.median(np.linalg.norm(np.diff(place[order], axis=0)[same], axis=1)))
-
-
-def _pair(item: tuple[str, str]) -> str:
-    pair = "=".join(item)
-    return '"' + pair.replace('"', '""') + '"' if "," in pair or '"' in pair else pair
 
 
 def _time_unit(cells: Cells, name: str) -> tuple[str, str]:

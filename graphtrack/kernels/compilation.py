@@ -196,7 +196,7 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
         count = max(map(len, rounds))
         when = f"in every process: {reason}" if reason else "once on this machine"
         when += f", in {count} processes" if count > 1 else ""
-        logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
+        logger.warning("compiling %s, %s: from %d s on …", what, when, 5 * max(1, round(expected / 5)))
     start = time.perf_counter()
     for own, *elsewhere in rounds:
         _compile_together(own, elsewhere)

@@ -65,7 +65,7 @@ CHANNELS = tuple(
 
 
 def observations(track: Track) -> Iterator[Observation]:
-    """The observations of a track, frame by frame."""
+    """Yield the observations of a track, frame by frame, as a live source would."""
     channels = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
     for k in range(len(track)):
         sensor = "" if track.sensor is None else str(track.sensor[k])

@@ -408,7 +408,7 @@ def write_report(
     tracks : estimates, or unmodified observations
     observations : input of the estimates, matched by ``track_id``
     groups : result of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
-    attention : result of `graphtrack.interaction.attention.attention`, or the file that
+    attention : result of `graphtrack.attention`, or the file that
         ``graphtrack attention`` wrote
     forecast : result of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
     places : other gaze targets, or a file with their positions

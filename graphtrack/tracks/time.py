@@ -40,7 +40,7 @@ def distinct_times(t: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
 NANOSECONDS_IN = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Unit of time → nanoseconds."""
 
-_UNIT_OF = {count: unit for unit, count in NANOSECONDS_IN.items()}
+UNIT_OF = {count: unit for unit, count in NANOSECONDS_IN.items()}
 DAY = 86_400 * 10**9
 """Nanoseconds."""
 EPOCH = 1e8
@@ -85,7 +85,7 @@ class TimeScale:
         counts = (since + self.unit // 2) // self.unit
         if self.kind == "number":
             return counts
-        dates = counts.astype(f"M8[{_UNIT_OF[self.unit]}]")
+        dates = counts.astype(f"M8[{UNIT_OF[self.unit]}]")
         if not self.zone:
             return dates
         import pandas as pd

@@ -260,7 +260,9 @@ def walking_labels(
 def _of_walkers(tracks: TrackSet, camera: GroundCamera) -> WalkingLabels:
     found: list[tuple[NDArray[Any], ...]] = []
     long = tracks.with_tracks(track for track in tracks if len(track) >= _LEAST_BOXES)
-    for observed, track in zip(long, smooth(long, "position") if len(long) else (), strict=True):
+    for observed, track in zip(
+        long, smooth(long, "position", trust="declared") if len(long) else (), strict=True
+    ):
         assert track.velocity is not None and track.covariance is not None
         speed = np.maximum(np.linalg.norm(track.velocity, axis=1), 1e-9)
         aside = np.column_stack([-track.velocity[:, 1], track.velocity[:, 0]]) / speed[:, None]

@@ -227,7 +227,7 @@ def adapt(
     with ExitStack() as searches:
         for frames, place, of_recording in zip(opened, output_paths, given, strict=True):
             clock = camera.clock(frames)
-            people = read_given_boxes(of_recording, frames.first, None, refuse)
+            people = read_given_boxes(of_recording, frames, None, refuse)
             if people is None:
                 search = PeopleSearch(frames, on_ground, clock, place)
                 people, _ = searches.enter_context(search.people(refuse))

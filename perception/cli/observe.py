@@ -272,7 +272,7 @@ class ObserveJob:
         moving = self._moving(frames)
         networks = network.load(frames)
         first, note = self.boxes_first_frame, self.reports
-        people = read_given_boxes(boxes, frames.first, first, refused.setdefault, note)
+        people = read_given_boxes(boxes, frames, first, refused.setdefault, note)
         identified = people is not None and (not people or people[0].identified)
         if output is not None and not identified:
             check_table_name(output)
@@ -290,8 +290,7 @@ class ObserveJob:
         if not self.is_streamed:
             expected = "-o - for rows as they come, or perception report --live"
             raise InputError(f"{source.name} with -o {self.output}", expected)
-        points = self.network.keypoints
-        of_files = points if points is not None and points.suffix.lower() != ".onnx" else None
+        of_files = self.network.keypoints if self.network.reads_keypoints else None
         given = {"--boxes": self.boxes, "--keypoints": of_files, "--homographies": self.motion.homographies}
         options.refuse(given, f"with {source.name}", "a recording, whose frames have numbers")
 
@@ -370,7 +369,7 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
     from perception.images.encoding import is_video
     from perception.observation.journal import FrameJournal, while_unfinished
     from perception.observation.pipeline import FrameObservation
-    from perception.observation.tables import Observations, to_detections, to_tracks
+    from perception.observation.tables import Observations, cut_note, to_detections, to_tracks
 
     people, models, networks = opened.people, opened.models, opened.networks
     frames = opened.recording
@@ -387,6 +386,7 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
         alone = causal or job.motion.moves  # a background moves
         search = PeopleSearch(frames, view, clock, place, asked, alone, one_size, networks.detector, reports)
         people, searched = unfinished.enter_context(search.with_keypoints(networks, people, refuse))
+        notes += networks.notes()
         if job.write_boxes_to is not None:
             write_boxes(people, job.write_boxes_to, first=frames.first)
         own: list[object] = [stamp_of(path) for path in (*chosen.parts, chosen.camera_models)]
@@ -409,7 +409,7 @@ def _observed(job: ObserveJob, opened: _Opened, place: Path) -> Observations:
         )
         seconds = time.perf_counter() - looked
         ground, of_camera = _ground(job, opened, people, journal)
-        notes += [*of_camera, *damage_note(frames)]
+        notes += [*of_camera, *cut_note(journal), *damage_note(frames)]
         frames_observed = journal, models.head_classes, ground, clock
         drawn = identified or render is not None
         observed = to_tracks(*frames_observed, causal=causal) if drawn else None
@@ -506,13 +506,12 @@ def _stream(
         return probability.detections(search.candidates(image, None))
 
     def people_in(number: int, image: Image) -> list[PersonBox]:
-        looked = {number: networks.look(number, image)} if networks.has_keypoints else None
-        if boxes is None and looked is not None and networks.makes_boxes:
-            return boxes_of(looked)
-        people = given.get(number, [])
-        if boxes is None:
-            people = boxes_of({number: detected(image)})
-        return people if looked is None else with_keypoints(people, looked)
+        if boxes is None and networks.makes_boxes:
+            return boxes_of({number: networks.look(number, image, ())})
+        people = given.get(number, []) if boxes is not None else boxes_of({number: detected(image)})
+        if not networks.has_keypoints:
+            return people
+        return with_keypoints(people, {number: networks.look(number, image, people)})
 
     inspection = FrameInspection()
     for frame in frames:
@@ -525,7 +524,7 @@ def _stream(
             give(row)
     report_skipped(refused)
     report_camera(observer.ground, PRINTED)
-    for line in inspection.notes(moves=moves):
+    for line in (*inspection.notes(moves=moves), *networks.notes()):
         PRINTED.emit(f"  note: {line}")
 
 

@@ -59,18 +59,17 @@ Reconnect = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(
-        help="People's boxes as MOT text, COCO JSON or CAVIAR XML, or of a detector (ids -1); "
-        "without it people are detected.",
+        help="People's boxes as MOT text, COCO JSON, CAVIAR XML, a table with named columns or a folder of "
+        "YOLO's labels, or of a detector (ids -1); without it people are detected.",
         exists=True,
-        dir_okay=False,
     ),
 ]
 FirstFrame = Annotated[
     int | None,
     typer.Option(
         "--boxes-first-frame",
-        help="Number of the recording's first frame in --boxes: by default 1 in MOT text (0 if it has a "
-        "frame 0), in other formats the recording's own number.",
+        help="Number of the recording's first frame in --boxes: by default 1 in MOT text and YOLO's "
+        "labels (0 if they have a frame 0), in other formats the recording's own number.",
     ),
 ]
 Render = Annotated[
@@ -254,7 +253,7 @@ class MotionOptions:
 
 def read_given_boxes(
     boxes: Path | None,
-    first: int,
+    frames: FrameSource | LiveFrames,
     named: int | None,
     refuse: Callable[[str], object],
     reports: Reports = PRINTED,
@@ -263,7 +262,7 @@ def read_given_boxes(
 
     Parameters
     ----------
-    first : number of the recording's first frame
+    frames : the recording
     named : the same in the file; None: see `read_boxes`
     """
     from perception.detection.boxes import read_boxes
@@ -273,7 +272,12 @@ def read_given_boxes(
             raise InputError("--boxes-first-frame without --boxes", "both, or neither")
         return None
     return read_boxes(
-        boxes, refuse, first=first, named=named, note=lambda line: reports.emit(f"  note: {line}")
+        boxes,
+        refuse,
+        first=frames.first,
+        named=named,
+        size=frames.size() if boxes.is_dir() else None,
+        note=lambda line: reports.emit(f"  note: {line}"),
     )
 
 

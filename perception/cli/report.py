@@ -179,7 +179,7 @@ def report_folder(
         check_camera(known, frames.size())
     networks = network.load(frames)
     refused: dict[str, None] = {}
-    given = read_given_boxes(boxes, frames.first, boxes_first_frame, refused.setdefault, reports)
+    given = read_given_boxes(boxes, frames, boxes_first_frame, refused.setdefault, reports)
     folder = ReportFolder(output, _STAGES, reports.emit)
     folder.open()
     run = _Run(folder, frames, camera.clock(frames), known, networks, person_height, seed, reports)
@@ -269,7 +269,7 @@ class _Run:
             if networks.has_keypoints:
                 count = sum(item.keypoints is not None for item in found)
                 what += f"; keypoints of {count} of them give body and head"
-            return [what, *skipped(refused), *notes, *damage_note(self.frames)]
+            return [what, *skipped(refused), *notes, *networks.notes(), *damage_note(self.frames)]
 
         files = [stamp_of(path) for path in keypoints]
         asked = self.frames.stamp(), stamp_of_camera(self.known), self.clock, given, networks.asked, files
@@ -356,7 +356,7 @@ class _Run:
         from graphtrack.io import write
         from perception.observation.journal import FrameJournal
         from perception.observation.pipeline import FrameObservation
-        from perception.observation.tables import associated, numbered, to_detections, to_tracks
+        from perception.observation.tables import associated, cut_note, numbered, to_detections, to_tracks
 
         place, own_models = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -380,8 +380,9 @@ class _Run:
                     beyond = found.refused
                     tracks = associated(found.columns, found.number, self.people)
                 write(tracks, place)
+                cut = cut_note(journal)
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
-            return [*tracks.summary.notes, *left_out, *skipped(refused)]
+            return [*tracks.summary.notes, *cut, *left_out, *skipped(refused)]
 
         self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)
 

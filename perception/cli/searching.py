@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from perception.detection.boxes import FrameDetections, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
     from perception.detection.rescoring import PersonProbability
+    from perception.detection.top_down import PoseOfBox
     from perception.detection.yolo import YoloNetwork
     from perception.images.frames import Clock, Frame, FrameSource
     from perception.images.live import LiveFrames
@@ -39,13 +40,13 @@ class OwnNetworks:
     Attributes
     ----------
     detector : detects boxes; None: the package's detector
-    pose : detects keypoints; None: none, or they are known
+    pose : detects people with keypoints, or keypoints in the boxes of people; None: none, or they are known
     known : keypoints by frame, from files; None: no files
     asked : all settings that the results depend on, except files with keypoints
     """
 
     detector: YoloNetwork | None
-    pose: YoloNetwork | None
+    pose: YoloNetwork | PoseOfBox | None
     known: Mapping[int, FrameDetections] | None
     asked: tuple[object, ...]
 
@@ -57,16 +58,31 @@ class OwnNetworks:
     @property
     def makes_boxes(self) -> bool:
         """Return True if missing boxes are derived from keypoints."""
-        return self.has_keypoints and self.detector is None
+        return self.has_keypoints and self.detector is None and not self.needs_boxes
 
-    def look(self, frame: int, image: Image) -> FrameDetections:
-        """Return the people of a frame with their keypoints."""
+    @property
+    def needs_boxes(self) -> bool:
+        """Return True if keypoints are detected in boxes."""
+        from perception.detection.top_down import PoseOfBox
+
+        return isinstance(self.pose, PoseOfBox)
+
+    def look(self, frame: int, image: Image, people: Sequence[PersonBox]) -> FrameDetections:
+        """Return the people of a frame with keypoints, in the boxes of ``people`` if these are needed."""
         from perception.detection.boxes import FrameDetections
+        from perception.detection.top_down import PoseOfBox
 
+        if isinstance(self.pose, PoseOfBox):
+            return self.pose.detect(image, [item.box for item in people])
         if self.pose is not None:
             return self.pose.detect(image)
         assert self.known is not None
         return self.known.get(frame) or FrameDetections(np.empty((0, 4)), np.empty(0))
+
+    def notes(self) -> list[str]:
+        """Return sentences on networks whose scores cannot be right."""
+        networks = [network for network in (self.detector, self.pose) if network is not None]
+        return [line for network in networks for line in network.checked.notes()]
 
 
 @dataclass(frozen=True)
@@ -76,15 +92,16 @@ class NetworkOptions:
     Networks and keypoints of your own
     ----------------------------------
     detector : A YOLO network of your own (.onnx), in place of the package's.
-    keypoints : A YOLO-pose network (.onnx), or keypoints of COCO, OpenPose or MMPose (.json, or a folder with
-        one file per frame): they give body and head, and boxes if there are none.
+    keypoints : A YOLO-pose or RTMPose network (.onnx), the word mediapipe for that package, or keypoints of
+        COCO, OpenPose, MMPose or MediaPipe (.json, or a folder with one file per frame): they give body and
+        head, and boxes if there are none.
     person_class : Name or number of the network's class of people, if not person.
     input_size : Size of the network's input, such as 640 or 1280x736, if its file leaves it open.
     least_score : Least score of detections by networks (default 0.25).
     """
 
     detector: options.InputFile | None = None
-    keypoints: Annotated[Path | None, typer.Option(exists=True)] = None
+    keypoints: Annotated[Path | None, typer.Option(metavar="FILE|FOLDER|mediapipe")] = None
     person_class: str | None = None
     input_size: str | None = None
     least_score: Annotated[float | None, typer.Option(min=0.0, max=1.0)] = None
@@ -92,18 +109,35 @@ class NetworkOptions:
     @property
     def files(self) -> dict[str, Path | list[Path] | None]:
         """Return the files to read, by option name."""
-        points: Path | list[Path] | None = self.keypoints
+        points: Path | list[Path] | None = None if self.is_mediapipe else self.keypoints
         if self.keypoints is not None and self.keypoints.is_dir():
             points = sorted(self.keypoints.glob("*.json"))
+        elif isinstance(points, Path) and not points.exists():
+            raise InputError("no such file", "an existing file or folder, or mediapipe", path=points)
         return {"--detector": self.detector, "--keypoints": points}
+
+    @property
+    def is_mediapipe(self) -> bool:
+        """Return True if keypoints are those of the package mediapipe."""
+        from perception.detection.top_down import MEDIAPIPE
+
+        return self.keypoints == MEDIAPIPE and not MEDIAPIPE.exists()
+
+    @property
+    def reads_keypoints(self) -> bool:
+        """Return True if keypoints are those of files, and not detected."""
+        points = self.keypoints
+        return points is not None and not self.is_mediapipe and points.suffix.lower() != ".onnx"
 
     def load(self, frames: FrameSource | LiveFrames) -> OwnNetworks:
         """Load the networks and keypoints."""
         from perception.detection.keypoint_files import read_keypoints
+        from perception.detection.onnx_network import OnnxNetwork
+        from perception.detection.top_down import MediaPipePose, SimccNetwork
         from perception.detection.yolo import YoloNetwork
 
         points = self.keypoints
-        pose_file = points if points and points.suffix.lower() == ".onnx" and points.is_file() else None
+        pose_file = None if points is None or self.is_mediapipe or self.reads_keypoints else points
         for name in ("person_class", "input_size", "least_score"):
             if getattr(self, name) is not None and self.detector is None and pose_file is None:
                 expected = "--detector, or --keypoints with a network (.onnx)"
@@ -112,14 +146,30 @@ class NetworkOptions:
         if self.least_score is not None:
             settings["least"] = self.least_score
 
-        def network(path: Path | None, pose: bool) -> YoloNetwork | None:
-            return None if path is None else YoloNetwork(path, pose=pose, **settings)
-
-        known = None
-        if points is not None and pose_file is None:
-            known = read_keypoints(points, frames.frame_of)
-        asked = (stamp_of(self.detector), stamp_of(pose_file), settings, points is not None)
-        return OwnNetworks(network(self.detector, False), network(pose_file, True), known, asked)
+        known = detector = None
+        pose: YoloNetwork | PoseOfBox | None = None
+        if points is not None and self.reads_keypoints:
+            known = read_keypoints(points, frames.frame_of, size=frames.size, first=frames.first)
+        elif pose_file is not None:
+            opened = OnnxNetwork(pose_file)
+            if SimccNetwork.fits(opened):
+                if self.detector is None:
+                    unused = {"--person-class": self.person_class, "--least-score": self.least_score}
+                    options.refuse(unused, "with a network of keypoints in boxes", "--detector with it")
+                pose = SimccNetwork(opened, None if self.detector else self._size())
+            else:
+                pose = YoloNetwork(opened, pose=True, **settings)
+        elif points is not None:
+            pose = MediaPipePose()
+        if self.detector is not None:
+            detector = YoloNetwork(self.detector, **settings)
+        asked = (
+            stamp_of(self.detector),
+            stamp_of(pose_file),
+            settings,
+            str(points) if pose else points is not None,
+        )
+        return OwnNetworks(detector, pose, known, asked)
 
     def _size(self) -> tuple[int, int] | None:
         if self.input_size is None:
@@ -189,17 +239,22 @@ def find_keypoints(
 
     ``refuse`` receives the number of people without keypoints. Frames in the journal are not processed again.
     """
-    from perception.detection.boxes import boxes_of, with_keypoints
+    from perception.detection.boxes import boxes_by_frame, boxes_of, with_keypoints
 
     found = networks.known
     if found is None:
         start = time.perf_counter()
         report_progress(journal, reports)
-        numbers = None if people is None else {item.frame for item in people}
+        in_frame = boxes_by_frame(people or ())
+        numbers = None if people is None else set(in_frame)
+
+        def look(number: int, image: Image) -> FrameDetections:
+            return networks.look(number, image, in_frame.get(number, ()))
+
         count = searched(
             frames,
             journal,
-            networks.look,
+            look,
             refuse,
             numbers,
             unit="frames",
@@ -337,7 +392,7 @@ class PeopleSearch:
                 people, known = journals.enter_context(self.people(refuse))
             if networks.has_keypoints:
                 place = keypoints_journal(self.output)
-                key = key_of(self.frames.stamp(), networks.asked)
+                key = key_of(self.frames.stamp(), networks.asked, people if networks.needs_boxes else None)
                 found = journals.enter_context(FrameJournal(place, key, FrameDetections))
                 size, reports = self.one_size, self.reports
                 people = find_keypoints(
@@ -345,6 +400,9 @@ class PeopleSearch:
                 )
                 known |= frozenset(found)
             assert people is not None
+            if not people:
+                for line in networks.notes():
+                    self.reports.emit(f"  note: {line}")
             yield people, known
 
     def _on_ground(

@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
 from graphtrack.io.cameras import with_scores
+from graphtrack.io.formats.boxes import YOLO
 from graphtrack.io.formats.mot import FROM_ZERO, MOT, SHIFTED
 from graphtrack.io.libraries import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
 from graphtrack.io.options import ReadOptions
@@ -29,7 +30,9 @@ from perception.pose.keypoints import (
     KNOWN,
     N_POINTS,
     SHOULDERS,
+    Joints,
     Points,
+    as_joints,
     as_points,
     in_coco_order,
 )
@@ -47,6 +50,7 @@ class PersonBox:
     identified : False: no identity is known, and the id is a unique number
     score : (detections without identities) confidence as read by graphtrack, at least 0; None: not known
     keypoints : COCO's 17 points; None: no pose network was run
+    joints : the same points in space; None: not known
     """
 
     frame: int
@@ -56,6 +60,7 @@ class PersonBox:
     identified: bool = True
     score: float | None = None
     keypoints: Points | None = None
+    joints: Joints | None = None
 
 
 def read_boxes(
@@ -64,9 +69,10 @@ def read_boxes(
     *,
     first: int | None = None,
     named: int | None = None,
+    size: tuple[int, int] | None = None,
     note: Callable[[str], object] = lambda line: None,
 ) -> list[PersonBox]:
-    """Read the boxes of a file of any format with boxes (MOT text, COCO, CAVIAR, Town Centre), in file order.
+    """Read the boxes of a file of any format with boxes, or of a folder of YOLO's labels, in their order.
 
     If all ids are −1, as for detections, the boxes are numbered from 1.
 
@@ -75,8 +81,9 @@ def read_boxes(
     refuse : receives the number of rows excluded by the file (marked to be ignored, classes other than
         pedestrians), and of rows without a box
     first : number of the first frame of the boxes' recording; None: frames are the file's
-    named : number of that frame in the file; None: 1 in MOT text, unless it has a frame 0, and ``first`` in
-        all other formats
+    named : number of that frame in the file; None: 1 in MOT text and YOLO's labels, unless they have a frame
+        0, and ``first`` in all other formats
+    size : columns and rows of the images, for boxes relative to them
     note : receives a sentence on the correspondence of the frames of file and recording
 
     Raises
@@ -85,7 +92,7 @@ def read_boxes(
         With line and column of the first unusable cell, such as a box of zero size or an id of −1 among
         others; and with the line of a person's second box in a frame.
     """
-    rows = boxes_of_file(path, None, ReadOptions())
+    rows = boxes_of_file(path, None, ReadOptions(image_size=size))
     if rows is None:
         formats = ", ".join(one.name for one in all_formats() if one.read_boxes is not None)
         raise InputError("a format without boxes", f"one of {formats}", path=path)
@@ -110,19 +117,24 @@ def read_boxes(
     ]
 
 
+_FROM_ONE = {MOT.name: "MOT text", YOLO.name: "YOLO's labels"}
+"""Formats whose frames are numbered from 1."""
+
+
 def _numbering(rows: Rows, first: int, named: int | None) -> tuple[int, str]:
     """Return the offset of a file's frames from the recording's, and a sentence on the reason."""
     if named is not None:
         return named - first, f"frame {named} is the first of the recording, as asked for"
     if SHIFTED in rows.notes:
         return 0, SHIFTED
-    if rows.format != MOT.name:
+    if rows.format not in _FROM_ONE:
         return 0, "frames are those of the recording"
+    kind = _FROM_ONE[rows.format]
     if (rows.frame == 0).any():
-        return 0, "frames begin at 0, not at 1 as in MOT text, and are used as those of the recording"
+        return 0, f"frames begin at 0, not at 1 as in {kind}, and are used as those of the recording"
     if first == 0:
-        return 1, "frame 1 of MOT text is the first of the recording, which is numbered 0"
-    return 0, "frames of MOT text are those of the numbered images"
+        return 1, f"frame 1 of {kind} is the first of the recording, which is numbered 0"
+    return 0, f"frames of {kind} are those of the numbered images"
 
 
 def write_boxes(boxes: Iterable[PersonBox], path: str | Path, *, first: int = 0) -> None:
@@ -169,14 +181,21 @@ class FrameDetections:
     boxes : (n, 4) left, top, width, height in pixels; NaN where only points are known
     scores : (n,) from 0 to 1
     points : (n, 17, 3) COCO's points with their confidences; None: without keypoints
+    joints : (n, 17, 3) the same points in space, as `Joints`; NaN, or None: not known
     """
 
     boxes: FloatArray
     scores: FloatArray
     points: FloatArray | None = None
+    joints: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    def pose(self, k: int) -> tuple[Points | None, Joints | None]:
+        """Return the points of a person in the image and in space."""
+        joints = None if self.joints is None or np.isnan(self.joints[k]).any() else as_joints(self.joints[k])
+        return None if self.points is None else as_points(self.points[k]), joints
 
 
 _LEAST_INSIDE, _LEAST_OVERLAP = 0.6, 0.1  # least share of points in a box, and overlap of boxes
@@ -230,10 +249,9 @@ def boxes_of(
             if box is None:
                 without += 1
                 continue
-            points = None if people.points is None else as_points(people.points[k])
             left, top, width, height = box.tolist()
-            number = len(boxes) + 1
-            boxes.append(PersonBox(frame, number, (left, top, width, height), score, False, score, points))
+            known = (left, top, width, height), score, False, score, *people.pose(k)
+            boxes.append(PersonBox(frame, len(boxes) + 1, *known))
     if without:
         refuse(f"{without} people whose keypoints do not locate their feet")
     return boxes
@@ -264,7 +282,8 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, FrameDetectio
         for row, k in zip(*linear_sum_assignment(fit, maximize=True), strict=True):
             if fit[row, k] > 0.0:
                 place = rows[row]
-                result[place] = replace(result[place], keypoints=as_points(people.points[k]))
+                points, joints = people.pose(int(k))
+                result[place] = replace(result[place], keypoints=points, joints=joints)
     return result
 
 
@@ -289,6 +308,11 @@ def _fit(box: tuple[float, float, float, float], people: FrameDetections, k: int
 def points_of(item: PersonBox) -> FloatArray:
     """Return the keypoints (17, 3) of a box; all 0 if it has none."""
     return np.zeros((N_POINTS, 3)) if item.keypoints is None else np.array(item.keypoints, float)
+
+
+def box_joints(item: PersonBox) -> FloatArray:
+    """Return the keypoints (17, 3) of a box in space; NaN if it has none."""
+    return np.full((N_POINTS, 3), np.nan) if item.joints is None else np.array(item.joints, float)
 
 
 def from_supervision(

@@ -1,4 +1,10 @@
-"""Files of keypoints: COCO, OpenPose and MMPose."""
+"""Files of keypoints: COCO, OpenPose, MMPose and MediaPipe.
+
+MediaPipe writes no files: its landmarks are read as programs dump them, a JSON list with an entry per frame
+(empty or null: nobody). An entry is a person's 33 landmarks, a list of people, or an object with
+``pose_landmarks`` and perhaps ``pose_world_landmarks`` of either, and perhaps ``frame``. A landmark is an
+object with x, y, z and visibility, or a list of these.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,26 +26,45 @@ from graphtrack.io.text import trailing_number
 from graphtrack.tracks.display import shortened
 from graphtrack.tracks.schema import LARGEST_FRAME
 from graphtrack.tracks.validation import parse_number
-from perception.detection.boxes import FrameDetections, PersonBox, as_points, points_of
-from perception.pose.keypoints import BY_NUMBER, KNOWN, coco_indices, in_coco_order
+from perception.detection.boxes import FrameDetections, PersonBox, points_of
+from perception.pose.keypoints import BY_NUMBER, KNOWN, N_POINTS, coco_indices, in_coco_order
 
-_EXPECTED = "keypoints of COCO (a list with image_id, keypoints), OpenPose (people) or MMPose (instances)"
+_EXPECTED = (
+    "keypoints of COCO (a list with image_id, keypoints), OpenPose (people), MMPose (instances) or MediaPipe "
+    "(a list of frames with 33 landmarks a person)"
+)
 _LARGEST = 1e6  # largest coordinate of a point, pixels
 
 
-_Person = tuple[int, FloatArray, FloatArray, float]
-"""Frame, COCO's points (17, 3), box (4,) or NaN, and score in 0…1."""
+class _Person(NamedTuple):
+    """Frame, COCO's points (17, 3), box (4,) or NaN, score in 0…1, and the points in space or NaN."""
+
+    frame: int
+    points: FloatArray
+    box: FloatArray
+    score: float
+    joints: FloatArray = np.full((N_POINTS, 3), np.nan)
+
+
 _FrameOf = Callable[[str], int | None]
 
 
-def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> dict[int, FrameDetections]:
+def read_keypoints(
+    path: str | Path,
+    frame_of: _FrameOf = lambda name: None,
+    *,
+    size: Callable[[], tuple[int, int]] | None = None,
+    first: int = 0,
+) -> dict[int, FrameDetections]:
     """Read the people of a JSON file, or of a folder with one file per frame, by frame.
 
-    Frame numbers are ``image_id``, ``frame_id`` or those in the names of images and files.
+    Frame numbers are ``image_id``, ``frame_id``, ``frame`` or those in the names of images and files.
 
     Parameters
     ----------
     frame_of : returns the frame of an image by its file name without suffix; None: no such image
+    size : returns columns and rows of the frames, of which MediaPipe's landmarks are fractions
+    first : number of the frame with which a list of frames begins
 
     Raises
     ------
@@ -48,11 +73,11 @@ def read_keypoints(path: str | Path, frame_of: _FrameOf = lambda name: None) -> 
     """
     path = Path(path)
     if not path.is_dir():
-        return _by_frame(path, _of_file(path, frame_of))
+        return _by_frame(path, _of_file(path, frame_of, size, first))
     files = sorted(file for file in path.iterdir() if file.suffix.lower() == ".json")
     if not files:
         raise InputError("a folder without JSON files", "0001_keypoints.json, …", path=path)
-    found = chain.from_iterable(_of_frame_file(file, frame_of) for file in files)
+    found = chain.from_iterable(_of_frame_file(file, frame_of, size) for file in files)
     return _by_frame(path, found)
 
 
@@ -71,6 +96,7 @@ def write_keypoints(people: Iterable[PersonBox], path: str | Path) -> None:
             "keypoints": np.round(points_of(item), 3).ravel().tolist(),
             "bbox": [round(side, 2) for side in item.box],
             "score": round(item.confidence, 4),
+            **({} if item.joints is None else {"keypoints_3d": np.array(item.joints).ravel().tolist()}),
         }
         for item in people
         if item.keypoints is not None
@@ -79,7 +105,7 @@ def write_keypoints(people: Iterable[PersonBox], path: str | Path) -> None:
         temporary.write_text(json.dumps(entries), encoding="ascii")
 
 
-def keypoints_by_box(people: Iterable[PersonBox], path: str | Path) -> list[PersonBox]:
+def keypoints_by_box(people: Sequence[PersonBox], path: str | Path) -> list[PersonBox]:
     """Return boxes with the keypoints that `write_keypoints` wrote for the same boxes.
 
     Raises
@@ -92,24 +118,27 @@ def keypoints_by_box(people: Iterable[PersonBox], path: str | Path) -> list[Pers
         return frame, *np.round(np.asarray(box, float), 2).tolist()
 
     known = {
-        key(frame, box): as_points(points)
+        key(frame, box): found.pose(k)
         for frame, found in read_keypoints(path).items()
-        if found.points is not None
-        for box, points in zip(found.boxes, found.points, strict=True)
+        for k, box in enumerate(found.boxes)
     }
-    return [replace(item, keypoints=known.get(key(item.frame, item.box))) for item in people]
+    found = [known.get(key(item.frame, item.box), (None, None)) for item in people]
+    return [
+        replace(item, keypoints=points, joints=joints)
+        for item, (points, joints) in zip(people, found, strict=True)
+    ]
 
 
 def _by_frame(path: Path, people: Iterable[_Person]) -> dict[int, FrameDetections]:
     groups: dict[int, list[_Person]] = {}
     for person in people:
-        groups.setdefault(person[0], []).append(person)
+        groups.setdefault(person.frame, []).append(person)
     if not groups:
         raise InputError("no people", "at least one person's keypoints", path=path)
     found = {
-        frame: FrameDetections(*(np.array(values) for values in (boxes, scores, points)))
+        frame: FrameDetections(*(np.array(values) for values in (boxes, scores, points, joints)))
         for frame, group in sorted(groups.items())
-        for _, points, boxes, scores in [zip(*group, strict=True)]
+        for _, points, boxes, scores, joints in [zip(*group, strict=True)]
     }
     # Annotations have visibilities 0, 1 (hidden) and 2 (visible) instead of confidences.
     confidences = [one.points[..., 2] for one in found.values() if one.points is not None]
@@ -128,8 +157,13 @@ def _loaded(path: Path) -> Any:
         raise InputError("something else, or a truncated file", "JSON", path=path) from error
 
 
-def _of_file(path: Path, frame_of: _FrameOf) -> Iterator[_Person]:
+_Size = Callable[[], tuple[int, int]] | None
+
+
+def _of_file(path: Path, frame_of: _FrameOf, size: _Size, first: int) -> Iterator[_Person]:
     data = _loaded(path)
+    if _is_mediapipe(data):
+        return _of_mediapipe(path, data, size, range(first, first + len(data)))
     if isinstance(data, dict) and "people" in data:
         return _of_openpose(path, data, _number_of(path, path.stem, frame_of))
     if isinstance(data, dict) and "instance_info" in data:
@@ -146,9 +180,11 @@ def _of_file(path: Path, frame_of: _FrameOf) -> Iterator[_Person]:
     raise InputError(_what(data), _EXPECTED, path=path)
 
 
-def _of_frame_file(path: Path, frame_of: _FrameOf) -> Iterator[_Person]:
+def _of_frame_file(path: Path, frame_of: _FrameOf, size: _Size) -> Iterator[_Person]:
     """Return the people of a file of one frame."""
     data, number = _loaded(path), _number_of(path, path.stem, frame_of)
+    if _is_mediapipe([data]):
+        return _of_mediapipe(path, [data], size, range(number, number + 1))
     if isinstance(data, dict) and "people" in data:
         return _of_openpose(path, data, number)
     if isinstance(data, list):
@@ -191,7 +227,7 @@ def _of_openpose(path: Path, data: Mapping[str, Any], frame: int) -> Iterator[_P
         points = _points(values, path, f"person {k}, pose_keypoints_2d", None)
         confident = points[points[:, 2] > 0.0, 2]
         score = float(confident.mean()) if len(confident) else 0.0
-        yield (frame, points, np.full(4, np.nan), min(score, 1.0))
+        yield _Person(frame, points, np.full(4, np.nan), min(score, 1.0))
 
 
 def _of_coco(
@@ -218,7 +254,13 @@ def _of_coco(
             _frame(image, path, f"entry {k}") if name is None else _number_of(path, Path(name).stem, frame_of)
         )
         points = _points(item["keypoints"], path, f"entry {k}", names)
-        yield (frame, points, _box(item.get("bbox"), path, k), _score(item, path, k))
+        person = _Person(frame, points, _box(item.get("bbox"), path, k), _score(item, path, k))
+        if "keypoints_3d" in item:
+            joints = _array(item["keypoints_3d"], path, f"entry {k}, keypoints_3d")
+            if joints.size != 3 * N_POINTS:
+                raise InputError(f"entry {k}: keypoints_3d of {joints.size} numbers", "51", path=path)
+            person = person._replace(joints=joints.reshape(N_POINTS, 3))
+        yield person
 
 
 def _of_mmpose(path: Path, frames: object, notes: object, *, from_one: bool) -> Iterator[_Person]:
@@ -252,7 +294,93 @@ def _of_instances(path: Path, entries: object, frame: int, names: Sequence[str] 
         corners = _box(box, path, k)
         corners[2:] -= corners[:2]
         score = _score({"score": item.get("bbox_score")}, path, k)
-        yield (frame, _points(values.ravel(), path, place, names), corners, score)
+        yield _Person(frame, _points(values.ravel(), path, place, names), corners, score)
+
+
+_IMAGE, _WORLD = ("pose_landmarks", "landmarks", "landmark"), ("pose_world_landmarks", "world_landmarks")
+_LANDMARKS = 33
+
+
+def _is_landmark(value: object) -> bool:
+    """Return True for an object with x and y, or a list of three numbers or more."""
+    if isinstance(value, dict):
+        return "x" in value and "y" in value
+    return isinstance(value, list) and len(value) >= 3 and all(isinstance(one, int | float) for one in value)
+
+
+def _poses(entry: object, keys: Sequence[str]) -> list[list[Any]] | None:
+    """Return the landmarks of each person of a frame's entry; None: it has none of the form."""
+    if entry is None:
+        return []
+    if isinstance(entry, dict):
+        inner = next((entry[key] for key in keys if key in entry), entry)
+        return None if inner is entry else _poses(inner, _IMAGE)  # protocol buffers have a list within
+    if not isinstance(entry, list):
+        return None
+    if entry and _is_landmark(entry[0]):
+        return [entry]
+    people = [_poses(person, keys) for person in entry]
+    return None if any(one is None for one in people) else [one for some in people for one in some or ()]
+
+
+def _is_mediapipe(data: object) -> bool:
+    """Return True for a list of frames some of which have landmarks."""
+    return isinstance(data, list) and any(_poses(entry, _IMAGE) for entry in data)
+
+
+def _of_mediapipe(
+    path: Path, entries: Sequence[Any], size: _Size, frames: Sequence[int]
+) -> Iterator[_Person]:
+    if size is None:
+        raise InputError(
+            "landmarks in fractions of the image", "a recording, whose images have a size", path=path
+        )
+    scale = np.array([*size(), 1.0])
+    for number, entry in zip(frames, entries, strict=True):
+        place = f"frame {number}"
+        poses = _poses(entry, _IMAGE)
+        if poses is None:
+            raise InputError(f"{place} without landmarks", "33 landmarks of each person, or null", path=path)
+        if isinstance(entry, dict) and "frame" in entry:
+            number = _frame(entry["frame"], path, place)
+        spaces = _poses(entry, _WORLD) if isinstance(entry, dict) else None
+        if spaces and len(spaces) != len(poses):
+            raise InputError(
+                f"{place}: world landmarks of {len(spaces)} of {len(poses)} people", "all", path=path
+            )
+        for k, pose in enumerate(poses):
+            values = _landmarks(pose, path, f"{place}, person {k}")
+            if np.median(np.abs(values[:, :2])) > _FARTHEST:
+                raise InputError(
+                    f"{place}, person {k}: landmarks in pixels", "fractions of the image", path=path
+                )
+            # Without landmarks in metres, depths are in widths of the image.
+            space = _landmarks(spaces[k], path, place)[:, :3] if spaces else values[:, :3] * scale[[0, 1, 0]]
+            points = values[:, [0, 1, 3]] * scale
+            order = list(BY_NUMBER[_LANDMARKS])
+            score = float(np.clip(np.nanmean(values[:, 3]), 0.0, 1.0))
+            yield _Person(number, in_coco_order(points, order), np.full(4, np.nan), score, space[order])
+
+
+_FARTHEST = 3.0  # widths of the image from its corner to the median landmark of a person in part in the image
+
+
+def _landmarks(pose: Sequence[Any], path: Path, place: str) -> FloatArray:
+    """Parse landmarks (33, 4): x, y, z and visibility; NaN: no z, 1: no visibility."""
+    if len(pose) != _LANDMARKS:
+        raise InputError(f"{place}: {len(pose)} landmarks", f"{_LANDMARKS} landmarks of a person", path=path)
+    nothing = (np.nan, np.nan, np.nan, 1.0)
+    rows = [
+        [one.get(name, value) for name, value in zip(("x", "y", "z", "visibility"), nothing, strict=True)]
+        if isinstance(one, dict)
+        else [*one[:4], *nothing[len(one) :]]
+        for one in pose
+        if isinstance(one, dict | list)
+    ]
+    values = _array(rows, path, place)
+    if values.shape != (_LANDMARKS, 4):
+        raise InputError(f"{place}: something else", "x, y, z and visibility of each landmark", path=path)
+    return values
 
 
 def _entries(values: object, path: Path, name: str) -> list[dict[str, Any]]:

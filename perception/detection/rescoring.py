@@ -113,7 +113,7 @@ def _walking_positions(
     for part in range(_PARTS):
         left_out = frames[part::_PARTS]
         rest, walking = _without(tracks, left_out)
-        for track in smooth(tracks.with_tracks(rest), "position") if rest else ():
+        for track in smooth(tracks.with_tracks(rest), "position", trust="declared") if rest else ():
             boxes, first, last = walking[track.track_id]
             way = float(np.linalg.norm(track.position[-1] - track.position[0]))
             person = boxes >= least_boxes and way >= least_way
@@ -231,7 +231,7 @@ def adapt_to_recording(
         "track_id": np.full(len(found), -1),
     }
     tracks = associate(table)
-    label, person = _labels(numbers, place, score, smooth(tracks, "position"))
+    label, person = _labels(numbers, place, score, smooth(tracks, "position", trust="declared"))
     people = np.unique(person[person >= 0])
     if len(people) < LEAST_PEOPLE or not (label == 0).any():
         return None

@@ -1,4 +1,4 @@
-"""YOLO networks in ONNX files, run by ONNX Runtime (the extra ``networks``); the weights are the user's.
+"""YOLO networks in ONNX files.
 
 ====================  ===================  =============================================================
 layout                output               a row
@@ -15,11 +15,10 @@ have strides 8, 16 and 32 (and 64, or 4).
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -27,9 +26,8 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.source import Source
-from graphtrack.packages import package
 from perception.detection.boxes import FrameDetections
+from perception.detection.onnx_network import OnnxNetwork, ScoreCheck, literal
 from perception.images.pixels import Image, non_maximum_suppression
 from perception.pose.keypoints import BY_NUMBER, KNOWN, in_coco_order
 
@@ -80,22 +78,35 @@ class OutputLayout:
     points: int = 0
     columns: int = 3
 
+    @property
+    def _first(self) -> int:
+        """Return the first column of the classes."""
+        return 5 if self.kind == "anchors" else 4
+
+    def _rows(self, output: NDArray[np.float32]) -> FloatArray:
+        values = np.asarray(output[0], float)
+        return values.T if self.kind == "cells" else values
+
+    def scores(self, output: NDArray[np.float32]) -> FloatArray:
+        """Return the scores (n, classes) of all detections; (n, 1) of those of ``selected``."""
+        rows = self._rows(output)
+        if self.kind == "selected":
+            return rows[:, 4:5]
+        assert self.classes is not None
+        of_class = rows[:, self._first : self._first + self.classes]
+        return of_class * rows[:, 4:5] if self.kind == "anchors" else of_class
+
     def decoded(
         self, output: NDArray[np.float32], person: int, least: float
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Corners (n, 4), scores (n,) from the least on, and keypoints (n, 17, 3) of people."""
-        values = np.asarray(output[0], float)
-        rows = values.T if self.kind == "cells" else values
-        start, scores = 6, rows[:, 4]
+        rows, of_class = self._rows(output), self.scores(output)
         if self.kind == "selected":
+            start, scores = 6, of_class[:, 0]
             is_person = np.round(rows[:, 5]) == person
         else:
-            first = 5 if self.kind == "anchors" else 4
-            assert self.classes is not None
-            start = first + self.classes
-            of_class = rows[:, first:start]
+            start, scores = self._first + of_class.shape[1], of_class[:, person]
             is_person = of_class.argmax(axis=1) == person
-            scores = of_class[:, person] * (scores if self.kind == "anchors" else 1.0)
         kept = is_person & (scores >= least) & np.isfinite(rows).all(axis=1)
         rows, scores = rows[kept], np.clip(scores[kept], 0.0, 1.0)
         corners = rows[:, :4]
@@ -180,7 +191,6 @@ def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
 
 
 _MOST = 1000  # detections, best first, that enter non-maximum suppression
-_SMALLEST, _LARGEST = 32, 8192
 _OVERLAP = 0.6  # intersection over union above which the weaker of two boxes is dropped
 
 
@@ -189,7 +199,7 @@ class YoloNetwork:
 
     Parameters
     ----------
-    path : the ONNX file
+    path : the ONNX file, or the opened one
     pose : whether keypoints are wanted
     size : columns and rows of the input, if the file leaves them open
     person : name or number of the class; None: "person", or the first
@@ -203,31 +213,25 @@ class YoloNetwork:
 
     def __init__(
         self,
-        path: str | Path,
+        path: str | Path | OnnxNetwork,
         *,
         pose: bool = False,
         size: tuple[int, int] | None = None,
         person: str | None = None,
         least: float = 0.25,
     ) -> None:
-        self.path, self.least = str(path), least
-        runtime = package("onnxruntime", "networks")
-        options = runtime.SessionOptions()
-        options.log_severity_level = 4  # errors are raised, not printed
-        data = Source.open(path).data
-        try:
-            self._session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # its errors have no public base class
-            raise InputError(_cannot_run(error), "an ONNX file that is whole", path=path) from error
-        notes = self._session.get_modelmeta().custom_metadata_map
+        self._network = path if isinstance(path, OnnxNetwork) else OnnxNetwork(path)
+        self.path, self.least = self._network.path, least
+        self.checked = ScoreCheck(self.path)
+        notes = self._network.notes
         names, task = _names(notes), notes.get("task")
         wanted = ("pose",) if pose else ("detect", "pose")
         if task is not None and task not in wanted:
-            raise InputError(f"a network for the task {task!r}", " or ".join(wanted), path=path)
-        self.size = _input_size(self._session.get_inputs(), notes, size, self.path)
+            raise InputError(f"a network for the task {task!r}", " or ".join(wanted), path=self.path)
+        self.size = self._network.input_size(size)
         self.person = _person(names, person, self.path)
         blank = np.full((self.size[1], self.size[0], 3), 114, np.uint8)
-        outputs = self._run(letterboxed(blank, self.size)[0])
+        outputs = self._network.run(letterboxed(blank, self.size)[0])
         # The first output of three dimensions: YOLOv5 also returns its cells, and others return masks.
         self._output = next((k for k, values in enumerate(outputs) if values.ndim == 3), 0)
         self.layout: OutputLayout = layout_of(
@@ -240,22 +244,16 @@ class YoloNetwork:
         )
         if self.layout.classes is not None and self.person >= self.layout.classes:
             found = f"class {self.person} of {self.layout.classes}"
-            raise InputError(found, "--person-class with an existing class", path=path)
-
-    def _run(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        (given,) = self._session.get_inputs()
-        kind = np.float16 if given.type == "tensor(float16)" else np.float32
-        try:
-            found: list[NDArray[np.float32]] = self._session.run(None, {given.name: values.astype(kind)})
-        except Exception as error:
-            raise InputError(_cannot_run(error), "a network of one image", path=self.path) from error
-        return found
+            raise InputError(found, "--person-class with an existing class", path=self.path)
 
     def detect(self, image: Image) -> FrameDetections:
         """Return the people of an image (h, w, 3) uint8, best first."""
         values, scale, margin = letterboxed(image, self.size)
-        output = self._run(values)[self._output]
+        output = self._network.run(values)[self._output]
+        self.checked.add("scores", self.layout.scores(output))
         corners, scores, points = self.layout.decoded(output, self.person, self.least)
+        if points is not None:
+            self.checked.add("visibilities of keypoints", points[..., 2])
         order = np.argsort(-scores, kind="stable")[:_MOST]
         ends = np.clip((corners[order].reshape(-1, 2, 2) - margin) / scale, 0.0, image.shape[1::-1])
         boxes = np.hstack([ends[:, 0], ends[:, 1] - ends[:, 0]])
@@ -271,50 +269,9 @@ class YoloNetwork:
         return FrameDetections(boxes, scores[order], points)
 
 
-def _cannot_run(error: Exception) -> str:
-    return f"a network that ONNX Runtime cannot run ({' '.join(str(error).split())[:160]})"
-
-
-def _input_size(
-    inputs: Sequence[Any], notes: Mapping[str, str], asked: tuple[int, int] | None, path: str
-) -> tuple[int, int]:
-    """Return columns and rows of the input."""
-    if len(inputs) != 1:
-        raise InputError(f"a network of {len(inputs)} inputs", "one input, an image", path=path)
-    shape = [size if isinstance(size, int) else None for size in inputs[0].shape]
-    as_text = f"({', '.join('any' if size is None else str(size) for size in shape)})"
-    if len(shape) != 4 or shape[1] not in (3, None) or shape[0] not in (1, None):
-        expected = "(1, 3, rows, columns), an image in colour"
-        raise InputError(f"an input of shape {as_text}", expected, path=path)
-    rows, columns = shape[2:]
-    fixed = None if rows is None or columns is None else (columns, rows)
-    if fixed and asked and fixed != asked:
-        raise InputError(
-            f"an input of {fixed[0]} × {fixed[1]}", f"--input-size {asked[0]}x{asked[1]}", path=path
-        )
-    noted = _literal(notes.get("imgsz"))
-    if fixed is None and asked is None and isinstance(noted, (list, tuple)) and len(noted) == 2:
-        asked = (int(noted[1]), int(noted[0]))
-    size = fixed or asked
-    if size is None:
-        found = f"an input of any size, {as_text}"
-        raise InputError(found, "--input-size, such as 640 or 1280x736", path=path)
-    if not all(_SMALLEST <= side <= _LARGEST for side in size):
-        raise InputError(f"an input of {size[0]} × {size[1]}", f"{_SMALLEST} to {_LARGEST} pixels", path=path)
-    return size
-
-
-def _literal(text: str | None) -> object:
-    """Return the value of a metadata entry; None if it cannot be parsed."""
-    try:
-        return None if text is None else ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        return None
-
-
 def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
     """Return the names of the classes by number."""
-    noted = _literal(notes.get("names"))
+    noted = literal(notes.get("names"))
     if isinstance(noted, (list, tuple)):
         noted = dict(enumerate(noted))
     if not isinstance(noted, dict) or not all(isinstance(key, int) for key in noted):
@@ -324,7 +281,7 @@ def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
 
 def _keypoints(notes: Mapping[str, str]) -> tuple[int, int] | None:
     """Return the number of keypoints and of numbers of each, if the file has them."""
-    noted = _literal(notes.get("kpt_shape"))
+    noted = literal(notes.get("kpt_shape"))
     if isinstance(noted, (list, tuple)) and len(noted) == 2 and noted[1] in (2, 3):
         return int(noted[0]), int(noted[1])
     return None

@@ -271,7 +271,7 @@ def _travel(truth: TrackSet) -> Reference:
     """Return true positions, directions of travel and speeds of people labelled in at least four frames."""
     long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
     found: dict[int, list[tuple[float, ...]]] = {}
-    for track in smooth(long, "position"):
+    for track in smooth(long, "position", trust="declared"):
         assert track.velocity is not None
         speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
         for k, frame in enumerate(track.frame.tolist()):

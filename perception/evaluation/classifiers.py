@@ -206,6 +206,8 @@ _NETWORKS = {
     "left and right exchanged in a tenth": NetworkErrors(swapped=0.1),
     "without confidences": NetworkErrors(unsaid=1.0),
     "unsure points left out": NetworkErrors(cut=1.0, unsaid=0.0),
+    "confidences that follow occlusion": NetworkErrors(uninformed=0.0),
+    "confidences that do not follow occlusion": NetworkErrors(uninformed=1.0),
 }
 
 

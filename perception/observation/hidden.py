@@ -7,12 +7,89 @@ from collections.abc import Sequence
 import numpy as np
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from perception.pose.keypoints import ANKLES, HIPS, KNEES, SHOULDERS
 
+CUT = "body_cut"
+"""Input of a track: the share of the person's box that is beyond the border of the image, 0…1."""
 HEAD_HEIGHT, HEAD_WIDTH, HEAD_MIDDLE = 0.13, 0.10, 0.065
 """Of a head and its middle below the top of the box, in heights of the person's box."""
 
 _NEARER = 0.02  # heights of a box by which another's lower edge is below its own, to be in front of it
 _BODY_GRID, _HEAD_GRID = (6, 12), (4, 4)  # points across and down
+_SURE = 0.3  # least confidence of a point
+_AT_BORDER = 2.0, 0.05  # pixels, or heights of the box below, within which a box ends at the border
+_LEVELS = ((SHOULDERS, 0.815, 0.03), (HIPS, 0.53, 0.04), (KNEES, 0.285, 0.035), (ANKLES, 0.04, 0.03))
+"""Pairs of points from above, their height above the ground in heights of a standing person (Drillis &
+Contini 1966), and its 1-σ with that of a pose network."""
+_TOP_DEVIATION = 0.03  # 1-σ of the top of a box, in heights
+_NEARER_HEAD = -0.15, 0.2
+"""Mean and 1-σ of the change of depth from feet to head, in depths of the feet: of cameras 1.5 to 12 m
+away and up to 5 m high."""
+
+
+def full_box(
+    box: tuple[float, float, float, float], points: FloatArray, size: tuple[int, int]
+) -> tuple[float, float, float, float] | None:
+    """Return the full box of a person whom the border of the image cuts, as one who stands; None: not cut.
+
+    Feet below the image follow from the top of the box and from the points above, in perspective, and from
+    those below the border that the network reports. At a border on the left or right the trunk is the middle.
+    None also where the points do not locate the rest.
+
+    Parameters
+    ----------
+    box : left, top, width, height of the visible person, pixels
+    points : (17, 3) keypoints, those outside the image too; confidence 0: missing
+    size : columns and rows of the image
+    """
+    columns, rows = size
+    left, top, width, height = box
+    right, bottom = left + width, top + height
+    inside = ((points[:, :2] >= 0.0) & (points[:, :2] < size)).all(axis=1) & (points[:, 2] >= _SURE)
+    near, of_height = _AT_BORDER
+    if bottom >= rows - max(near, of_height * height) and not inside[list(ANKLES)].any():
+        below = (points[:, 1] >= rows) & (points[:, 2] > 0.0)
+        levels = [(1.0, top, _TOP_DEVIATION)] if top > near else []
+        for pair, at, deviation in _LEVELS:
+            for mask, doubt in ((inside, 1.0), (below, 2.0)):
+                if mask[list(pair)].any():
+                    levels.append((at, points[pair, 1][mask[list(pair)]].mean(), doubt * deviation))
+                    break
+        foot = _foot_row(np.array(levels).reshape(-1, 3))
+        if foot is None:
+            return None
+        bottom = max(bottom, foot)
+    trunk = [k for k in (*SHOULDERS, *HIPS) if inside[k]]
+    if trunk and (left <= near or right >= columns - near):
+        middle = points[trunk, 0].mean()
+        half = max(middle - left, right - middle)
+        left, right = middle - half, middle + half
+    full = (float(left), float(top), float(right - left), float(bottom - top))
+    return None if full == box else full
+
+
+def _foot_row(levels: FloatArray) -> float | None:
+    """Return the row of the feet from levels (n, 3), from above; None: unknown.
+
+    Levels are heights, rows and 1-σ in heights. Rows of a vertical line are (a + b·h)/(1 + c·h) of the height
+    h, with c of the prior `_NEARER_HEAD`.
+    """
+    if len(levels) < 2 or levels[-1, 1] <= levels[0, 1]:
+        return None
+    height, row, deviation = levels.T
+    scale = (row[-1] - row[0]) / (height[0] - height[-1])
+    y, (mean, spread) = (row - row[0]) / scale, _NEARER_HEAD
+    design = np.column_stack([np.ones_like(y), height, -y * height]) / deviation[:, None]
+    design = np.vstack([design, [0.0, 0.0, 1.0 / spread]])
+    found = np.linalg.lstsq(design, np.append(y / deviation, mean / spread), rcond=None)[0]
+    return float(row[0] + scale * found[0])
+
+
+def cut_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[int, int]) -> FloatArray:
+    """Return the shares (n,) of boxes, in pixels, beyond the border of an image of columns and rows."""
+    box = np.asarray(boxes, float).reshape(-1, 4)
+    low, high = np.maximum(box[:, :2], 0.0), np.minimum(box[:, :2] + box[:, 2:], size)
+    return np.asarray(1.0 - np.maximum(high - low, 0.0).prod(axis=1) / box[:, 2:].prod(axis=1), float)
 
 
 def hidden_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[int, int]) -> FloatArray:

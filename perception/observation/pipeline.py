@@ -17,12 +17,20 @@ from graphtrack.model.terms.orientation import HIDDEN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import PersonBox, boxes_by_frame, foot_point, points_of
+from perception.detection.boxes import PersonBox, box_joints, boxes_by_frame, foot_point, points_of
 from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in, upright_picture
 from perception.ground.views import Ground, MovingCamera, View, view_in
 from perception.images.frames import Clock, Frame, seconds
 from perception.images.pixels import Image, checked_box, crop
-from perception.observation.hidden import HEAD_HEIGHT, HEAD_MIDDLE, HEAD_WIDTH, hidden_shares
+from perception.observation.hidden import (
+    CUT,
+    HEAD_HEIGHT,
+    HEAD_MIDDLE,
+    HEAD_WIDTH,
+    cut_shares,
+    full_box,
+    hidden_shares,
+)
 from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
 from perception.pose.classifier import FeatureClassifier
@@ -45,6 +53,8 @@ class PersonObservation:
     appearance : (`features.LENGTH`,) uint8 appearance descriptor; None: not requested
     standing : pose of a person who leans in the image; the heads are then in the crop of the rotated image
     hidden : shares of body and head that are hidden, 0…1 (`hidden_shares`)
+    cut : share of the body beyond the border of the image, 0…1 (`cut_shares`)
+    full : box of the person, by keypoints, where the border cuts it (`full_box`)
     """
 
     frame: int
@@ -57,16 +67,19 @@ class PersonObservation:
     appearance: NDArray[np.uint8] | None = None
     standing: LeaningPose | None = None
     hidden: tuple[float, float] = (0.0, 0.0)
+    cut: float = 0.0
+    full: tuple[float, float, float, float] | None = None
 
     @property
     def height(self) -> float:
-        """Height of the box, or length of a leaning person, in pixels."""
-        return self.box[3] if self.standing is None else self.standing.length
+        """Height of the person's box, or length of a leaning person, in pixels."""
+        return (self.full or self.box)[3] if self.standing is None else self.standing.length
 
     @property
     def foot(self) -> FloatArray:
         """(2,) pixels."""
-        return np.asarray(foot_point(self.box) if self.standing is None else self.standing.foot, float)
+        at = foot_point(self.full or self.box) if self.standing is None else self.standing.foot
+        return np.asarray(at, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +111,7 @@ def keypoint_likelihoods(
     if not people:
         return []
     points = np.array([points_of(item) for item in people])
-    body, head = model.log_likelihoods(points)
+    body, head = model.log_likelihoods(points, np.array([box_joints(item) for item in people]))
     return [
         (body[k], HeadCandidates(_head_in_crop(item.box, points[k])[None], np.zeros(1)), head[k : k + 1])
         for k, item in enumerate(people)
@@ -176,8 +189,12 @@ def observe_frame(
     people_observed: list[PersonObservation] = []
     people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
+    size = image.shape[1], image.shape[0]
     usable = list(_usable(image, frame, boxes, refuse))
-    hidden = hidden_shares([item.box for item in usable], (image.shape[1], image.shape[0])).tolist()
+    full = [full_box(item.box, points_of(item), size) for item in usable]
+    usable = [_in_picture(item, size) for item in usable]
+    areas = [item.box if area is None else area for item, area in zip(usable, full, strict=True)]
+    hidden, cut = hidden_shares(areas, size).tolist(), cut_shares(areas, size).tolist()
     for item in usable:
         standing = leaning_pose_in(models.view, item.box)
         people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
@@ -187,9 +204,18 @@ def observe_frame(
             people = []
     people_observed += _look(image, people, models, light)
     return [
-        replace(one, hidden=(of_body, of_head))
-        for one, (of_body, of_head) in zip(people_observed, hidden, strict=True)
+        replace(one, hidden=(of_body, of_head), cut=beyond, full=area)
+        for one, (of_body, of_head), beyond, area in zip(people_observed, hidden, cut, full, strict=True)
     ]
+
+
+def _in_picture(item: PersonBox, size: tuple[int, int]) -> PersonBox:
+    """Return a person whose keypoints beyond the border, which nothing shows, are missing."""
+    if item.keypoints is None:
+        return item
+    columns, rows = size
+    shown = tuple((x, y, c if 0.0 <= x < columns and 0.0 <= y < rows else 0.0) for x, y, c in item.keypoints)
+    return replace(item, keypoints=shown)
 
 
 def _usable(
@@ -346,6 +372,7 @@ def channels_of(
             if values is not None:
                 placed.setdefault(name, np.empty((len(items), *values.shape[1:])))[rows] = values
     inputs = dict(zip(HIDDEN.values(), np.array([item.hidden for item in items], float).T, strict=True))
+    inputs[CUT] = np.array([item.cut for item in items], float)
     if projection is not None and all(item.appearance is not None for item in items):
         inputs[APPEARANCE] = projection(np.array([item.appearance for item in items], np.uint8))
     scores = np.array([item.score for item in items], float)  # None is NaN

@@ -27,6 +27,7 @@ from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.ground.views import Ground
 from perception.images.frames import Clock
+from perception.observation.hidden import CUT
 from perception.observation.pipeline import (
     FrameObservation,
     PersonObservation,
@@ -173,7 +174,7 @@ def _channels(
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
     fields: dict[str, Any] = dict(known)
-    inputs = {name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values()) if name in fields}
+    inputs = {name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values(), CUT) if name in fields}
     score = fields.pop("score")
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
 
@@ -206,6 +207,21 @@ def scaled_camera(frames: Mapping[int, FrameObservation], *, causal: bool) -> Gr
     if not heights:
         raise InputError("a video without people", "at least one person")
     return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
+
+
+_CUT_FROM = 0.02  # shares beyond the border that are reported
+
+
+def cut_note(frames: Mapping[int, FrameObservation]) -> list[str]:
+    """Return a sentence on the people whom the border of the image cuts, if there are any."""
+    items = [item for known in frames.values() for item in known.people if item.cut >= _CUT_FROM]
+    if not items:
+        return []
+    count = sum(len(known.people) for known in frames.values())
+    line = f"{len(items)} of {count} boxes are cut by the border of the image (input_{CUT} of the rows)"
+    standing = sum(item.full is not None for item in items)
+    rest = f": in {standing} the feet follow from keypoints, as of people who stand" if standing else ""
+    return [line + rest]
 
 
 def projection_of(frames: Mapping[int, FrameObservation]) -> Projection:

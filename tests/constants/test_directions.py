@@ -164,6 +164,25 @@ def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
     assert all(one.wrong_angles is None for one in declared_noise(few, MODEL).channels)
 
 
+def test_people_who_all_side_step_are_left_alone_as_the_note_on_them_proposes() -> None:
+    """The note of a mirror, or of a detector's bias, has no such option: no gait is that."""
+    people = walkers(6, 12, sideways=1.0)
+    option = "--trust declared"
+    with pytest.warns(InputWarning, match=f"turned by 9.°.*--trust learn corrects it; {option} keeps"):
+        checked = gt.smooth(people)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        kept = gt.smooth(people, trust="declared")
+    for one, true in zip(kept, people, strict=True):
+        assert np.degrees(np.abs(difference(one.body, true.true_body)).mean()) < 30.0
+    np.testing.assert_array_equal(kept[0].body, checked[0].body)
+    mirrored = read_as(walkers(6, 12), AngleConvention("right", "cw"))
+    biased = walkers(2, 40).map(lambda track: turned(track, 34.0))
+    for off in (mirrored, biased):
+        lines = declared_noise(off, MODEL).lines()
+        assert lines and not any(option in line for line in lines)
+
+
 def test_classes_are_mirrored_back_too() -> None:
     centres = 2.0 * np.pi * np.arange(8) / 8.0
 

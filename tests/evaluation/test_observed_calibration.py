@@ -54,3 +54,19 @@ def test_the_section_is_of_what_was_observed(simulated):
     (section,) = observed_section(list(rows.values()))
     assert section.title == "Calibration" and len(section.items) == 3
     assert observed_section([]) == ()
+
+
+def test_pixels_are_calibrated_as_the_same_positions_in_metres(simulated):
+    metre = 0.0125
+    table = {name: [] for name in ("track_id", "frame", "t", "x", "y")}
+    for track in simulated:
+        columns = (np.full(len(track), track.track_id), track.frame, track.t, *track.position.T)
+        for name, values in zip(table, columns, strict=True):
+            table[name].append(values)
+    metres = {name: np.concatenate(values) for name, values in table.items()}
+    pixels = {**metres, "u": metres["x"] / metre, "v": 1000.0 - metres["y"] / metre}
+    del pixels["x"], pixels["y"]
+    of_metres = rows_of(gt.read(metres), Model("joint"))["position"]
+    of_pixels = rows_of(gt.read(pixels, metres_per_pixel=metre), Model("joint"))["position"]
+    assert of_metres["nees"] == pytest.approx(1.0, abs=0.12)
+    assert of_pixels["nees"] == pytest.approx(of_metres["nees"], abs=0.05)

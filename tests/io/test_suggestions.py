@@ -328,3 +328,30 @@ def test_a_comment_that_names_the_columns_is_their_order(here: Path) -> None:
     (here / "walks.txt").write_text("# frame ped x y\n" + frame.to_csv(sep=" ", index=False, header=False))
     tracks = io.read_identified(here / "walks.txt", fps=10, units="m")
     assert [track.track_id for track in tracks] == [7, 12] and suggest(here / "walks.txt").options
+
+
+@pytest.mark.slow
+def test_estimates_are_read_by_the_options_that_smooth_prints(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They keep the names, units and convention of their input; none of their own columns is proposed."""
+    people = table(id="who", t="time", x="px", y="py").assign(head_angle=40.0)
+    people["time"] = 100 * np.tile(np.arange(STEPS), len(PEOPLE))
+    people.to_csv("walks.csv", index=False)
+    asked = ["--columns", "id=who,t=time,u=px,v=py,head_deg=head_angle", "--time-unit", "ms"]
+    asked += ["--metres-per-pixel", "1", "--angles", "clockwise from image up"]
+    done = command.run(
+        "smooth", "walks.csv", "-o", "s.csv", *asked, "--intervals", "95", program="graphtrack"
+    )
+    assert done.returncode == 0, done.stderr
+    (line,) = (one for one in done.stderr.splitlines() if "s.csv is read by: " in one)
+    words = shlex.split(line.partition("is read by: ")[2])
+    again = dict(zip((word[2:].replace("-", "_") for word in words[::2]), words[1::2], strict=True))
+    tracks = io.read_identified(here / "s.csv", **again)
+    assert [len(track) for track in tracks] == [STEPS, STEPS]
+    np.testing.assert_allclose(tracks[0].t, T)
+    for track in tracks:
+        np.testing.assert_allclose(np.degrees(track.head), 50.0, atol=25.0)  # clockwise from up
+        assert track.body is not None and track.velocity is not None
+    proposed = suggest(here / "s.csv").options.get("columns", "")
+    assert "head_deg=head_angle" in proposed and "heading_deg" not in proposed and "_low" not in proposed

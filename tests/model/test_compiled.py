@@ -212,7 +212,7 @@ def test_it_is_logged_once_on_a_machine_and_run_once_in_a_process(
     rehearsal = Rehearsal("a kind", lambda: runs.append(1), 12.0)
     assert rehearsal.is_cold()
     before, after = logged(caplog, rehearsal)
-    assert before == "compiling something, once on this machine: about 10 s …"
+    assert before == "compiling something, once on this machine: from 10 s on …"
     assert after.startswith("compiled in ") and logged(caplog, rehearsal) == [] and len(runs) == 1
     compilation._READY.clear()
     assert not rehearsal.is_cold() and logged(caplog, rehearsal) == [] and len(runs) == 2

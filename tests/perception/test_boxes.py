@@ -231,3 +231,27 @@ def test_results_of_coco_are_associated(tmp_path: Path) -> None:
 def test_entries_that_cannot_be_used_are_told(change: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
         read_boxes(coco(tmp_path / "detections.json", change))
+
+
+def test_folders_of_yolo_labels_are_boxes_of_the_images(tmp_path: Path) -> None:
+    (tmp_path / "labels").mkdir()
+    for number in (1, 2):
+        text = f"0 0.5 0.5 0.1 0.25 {number + 4}\n2 0.1 0.1 0.1 0.1 9\n"
+        (tmp_path / "labels" / f"video_{number}.txt").write_text(text)
+    said: list[str] = []
+    found = read_boxes(tmp_path / "labels", first=0, size=(640, 480), note=said.append)
+    assert [(item.frame, item.track_id) for item in found] == [(0, 5), (1, 6)]
+    np.testing.assert_allclose(found[0].box, (288.0, 180.0, 64.0, 120.0))
+    assert "frame 1 of YOLO's labels is the first" in said[0]
+
+
+def test_folders_of_yolo_labels_are_smoothed(tmp_path: Path) -> None:
+    for number in range(8):
+        (tmp_path / f"{number:03d}.txt").write_text(f"0 {0.5 + 0.002 * number} 0.5 0.1 0.25 3\n")
+    homography = tmp_path / "H.csv"
+    homography.write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
+    output = tmp_path.parent / f"{tmp_path.name}.csv"
+    given = ("--homography", homography, "--image-size", "640x480", "--fps", "5")
+    done = run("smooth", tmp_path, "-o", output, *given, program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    assert len(gt.read(output)) == 1

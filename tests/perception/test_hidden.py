@@ -1,9 +1,13 @@
 """Hidden people: shares of their pictures, and likelihoods that say less of them."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
+import pandas as pd
 import pytest
+from command import run
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,7 +16,10 @@ from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.terms.orientation import less_hidden
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
-from perception.observation.hidden import hidden_shares
+from perception.detection.boxes import PersonBox
+from perception.detection.keypoint_files import write_keypoints
+from perception.observation.hidden import cut_shares, full_box, hidden_shares
+from perception.pose.keypoints import ANKLES, FACE, HIPS, KNEES, SHOULDERS, as_points
 
 MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
 SIZE = (640, 480)
@@ -31,6 +38,100 @@ def test_the_nearer_person_hides_the_other_as_far_as_the_boxes_overlap() -> None
     assert body == pytest.approx(0.5 * 0.75, abs=0.05) and head == 0.0
     assert in_front == own_head == 0.0
     assert (hidden_shares([nearer, ALONE], SIZE)[::-1] == [[body, head], [0.0, 0.0]]).all()
+
+
+HEIGHTS = ((FACE, 0.93), (SHOULDERS, 0.815), (HIPS, 0.53), (KNEES, 0.285), (ANKLES, 0.04))
+
+
+def standing(
+    middle: float, foot: float, tall: float, border: float, *, nearer: float = 0.0
+) -> tuple[tuple[float, float, float, float], np.ndarray]:
+    """The visible box and the points of a person, of whom a pose network reports all, in the image or not.
+
+    ``nearer``: share by which the head is nearer to the camera than the feet
+    """
+    points = np.zeros((17, 3))
+
+    def row(at: float) -> float:
+        return foot - tall * at * (1.0 - nearer) / (1.0 - nearer * at)
+
+    for pair, at in HEIGHTS:
+        points[list(pair)] = middle, row(at), 0.9
+        points[list(pair)[1:], 0] += 0.1 * tall
+        points[list(pair)[:1], 0] -= 0.1 * tall
+    left, right = max(middle - 0.2 * tall, 0.0), min(middle + 0.2 * tall, float(SIZE[0]))
+    return (left, foot - tall, right - left, min(foot, border) - foot + tall), points
+
+
+@pytest.mark.parametrize("nearer", [0.0, 0.15, 0.4])
+@pytest.mark.parametrize("foot", [500.0, 560.0, 620.0])
+@pytest.mark.parametrize("reported", [True, False])
+def test_feet_below_the_border_follow_from_the_points_above(
+    nearer: float, foot: float, reported: bool
+) -> None:
+    """By perspective, and by points that the network reports below the border."""
+    tall = 300.0
+    box, points = standing(300.0, foot, tall, SIZE[1], nearer=nearer)
+    if not reported:
+        points[points[:, 1] >= SIZE[1]] = 0.0
+    full = full_box(box, points, SIZE)
+    assert full is not None and full[:3] == (box[0], box[1], box[2])
+    error = abs(full[1] + full[3] - foot) / tall
+    # A head that is nearer by .4 is beyond the 1-σ of the prior.
+    assert error < (0.03 if reported else 0.1 if nearer < 0.3 else 0.31)
+    assert foot < 550.0 or error < (foot - SIZE[1]) / tall
+    np.testing.assert_allclose(cut_shares([full], SIZE), 1.0 - box[3] / full[3])
+    assert foot < 550.0 or hidden_shares([full], SIZE)[0, 0] > 0.5 * (1.0 - box[3] / full[3])
+    points[:, 2] = np.minimum(points[:, 2], 0.1)
+    points[points[:, 1] >= SIZE[1], 2] = 0.0
+    assert full_box(box, points, SIZE) is None
+
+
+def test_people_without_a_top_need_two_levels() -> None:
+    box, points = standing(300.0, 600.0, 640.0, SIZE[1])
+    points[points[:, 1] >= SIZE[1]] = 0.0
+    full = full_box((box[0], 0.0, box[2], 480.0), points, SIZE)
+    assert full is not None and abs(full[1] + full[3] - 600.0) < 0.1 * 640.0
+    points[list(SHOULDERS)] = points[list(KNEES)] = 0.0
+    assert full_box((box[0], 0.0, box[2], 480.0), points, SIZE) is None
+
+
+def test_whole_people_keep_their_box() -> None:
+    for foot in (300.0, 479.5):  # also with the feet at the border
+        box, points = standing(300.0, foot, 200.0, SIZE[1])
+        assert full_box(box, points, SIZE) is None
+        assert full_box(box, np.zeros((17, 3)), SIZE) is None
+        np.testing.assert_array_equal(cut_shares([box], SIZE), 0.0)
+    assert cut_shares([], SIZE).shape == (0,)
+
+
+def test_the_middle_of_people_at_the_side_is_that_of_the_trunk() -> None:
+    box, points = standing(20.0, 300.0, 200.0, SIZE[1])
+    full = full_box(box, points, SIZE)
+    assert full is None or full[0] + full[2] / 2.0 == pytest.approx(20.0)
+    points[:, 0] += 15.0  # both sides of the trunk are visible
+    box = (0.0, box[1], 75.0, box[3])
+    full = full_box(box, points, SIZE)
+    assert full is not None
+    np.testing.assert_allclose(full, (-5.0, 100.0, 80.0, 200.0))
+    np.testing.assert_allclose(cut_shares([full], SIZE), 5.0 / 80.0)
+
+
+def test_rows_name_the_people_whom_the_border_cuts(tmp_path: Path) -> None:
+    """Their feet are below the border, and a note counts them."""
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    people = [standing(150.0, 400.0, 200.0, SIZE[1]), standing(400.0, 560.0, 200.0, SIZE[1])]
+    boxes = [PersonBox(0, k, box, keypoints=as_points(points)) for k, (box, points) in enumerate(people)]
+    write_keypoints(boxes, tmp_path / "k.json")
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    (tmp_path / "0.png").rename(folder / "0.png")
+    done = run("observe", folder, "--keypoints", tmp_path / "k.json", "-o", tmp_path / "o.csv")
+    assert done.returncode == 0 and "1 of 2 boxes are cut by the border" in done.stderr
+    rows = pd.read_csv(tmp_path / "o.csv").sort_values("u")
+    np.testing.assert_allclose(rows["input_body_cut"], [0.0, 0.4], atol=0.02)
+    np.testing.assert_allclose(rows["v"], [400.0, 560.0], atol=6.0)
+    assert rows["input_body_hidden"].iloc[1] > 0.3
 
 
 def test_what_is_cut_by_the_border_is_hidden() -> None:

@@ -97,6 +97,16 @@ def test_nothing_is_printed_and_inputs_that_cannot_be_used_are_errors(
         perception.observe(clip / "video.mp4", homography="a.txt", calibration="b.ci")
 
 
+def test_files_of_options_may_be_text(clip: Path) -> None:
+    """Keypoints of a clip give likelihoods that are not flat, and a missing model is an error."""
+    network = perception.NetworkOptions(keypoints=str(clip / "keypoints.json"))
+    found = perception.observe(clip / "video.mp4", network=network)
+    assert np.ptp([found[f"body_p{k}"] for k in range(8)], axis=0).max() > 0.5
+    with pytest.raises(InputError, match=r"none\.npz"):
+        model = perception.ModelOptions(camera_models=str(clip / "none.npz"))
+        perception.observe(clip / "video.mp4", boxes=clip / "boxes.txt", model=model)
+
+
 @pytest.mark.slow
 def test_report_returns_the_tracks_of_its_folder(clip: Path, tmp_path: Path) -> None:
     given = {"boxes": clip / "boxes.txt", "homography": clip / "homography.txt"}

@@ -1,6 +1,7 @@
 """Keypoint files: the formats agree, the assignment of points to people, and refused input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,15 @@ from perception.detection.boxes import (
     with_keypoints,
     write_boxes,
 )
-from perception.detection.keypoint_files import read_keypoints
+from perception.detection.keypoint_files import keypoints_by_box, read_keypoints, write_keypoints
 from perception.pose.classes import PoseClasses
-from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED
+from perception.pose.keypoints import BY_NUMBER, N_POINTS, NAMES, USED, as_points
 from perception.synthetic import Camera, Person
 from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.skeletons import joint_visibility, joints_of
 
-STREET = Camera((0.0, -6.0, 2.5), np.pi / 2, -0.2, 500.0, (320, 320))
+STREET_SIZE = (320, 320)
+STREET = Camera((0.0, -6.0, 2.5), np.pi / 2, -0.2, 500.0, STREET_SIZE)
 BODY, HEAD = np.deg2rad([-60.0, -20.0])
 FRAMES = 4
 
@@ -113,6 +115,27 @@ def as_mmpose_images(folder: Path) -> Path:
     return folder
 
 
+def as_mediapipe(path: Path, form: str) -> Path:
+    """Landmarks in fractions of an image of 320 × 320, as programs dump them."""
+    columns, rows = STREET_SIZE
+    frames: list[Any] = []
+    for k, group in PEOPLE.items():
+        people, spaces = [], []
+        for points, _ in group:
+            scaled = numbered(points, 33) / [columns, rows, 1.0]
+            rows_of = [{"x": x, "y": y, "z": 0.01 * x, "visibility": c} for x, y, c in scaled.tolist()]
+            in_space = [{"x": y, "y": x, "z": 1.0, "visibility": c} for x, y, c in scaled.tolist()]
+            people.append([list(one.values()) for one in rows_of] if form == "lists" else rows_of)
+            spaces.append({"landmark": in_space})
+        entry: Any = people
+        if form == "objects":
+            buffers = [{"landmark": one} for one in people]
+            entry = {"frame": k, "pose_landmarks": buffers, "pose_world_landmarks": spaces}
+        frames.append(entry)
+    path.write_text(json.dumps(frames[::-1] if form == "objects" else frames))
+    return path
+
+
 WRITERS = {
     "coco": lambda folder: as_coco(folder / "k.json"),
     "annotations": lambda folder: as_annotations(folder / "k.json"),
@@ -122,17 +145,29 @@ WRITERS = {
     "mmpose": lambda folder: as_mmpose(folder / "k.json"),
     "mmpose script": lambda folder: as_mmpose(folder / "k.json", script=True),
     "mmpose images": lambda folder: as_mmpose_images(folder / "k"),
+    "mediapipe": lambda folder: as_mediapipe(folder / "k.json", "plain"),
+    "mediapipe lists": lambda folder: as_mediapipe(folder / "k.json", "lists"),
+    "mediapipe objects": lambda folder: as_mediapipe(folder / "k.json", "objects"),
 }
 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_says_the_same(tmp_path: Path, name: str) -> None:
-    found = read_keypoints(WRITERS[name](tmp_path))
+    found = read_keypoints(WRITERS[name](tmp_path), size=lambda: STREET_SIZE)
     assert list(found) == list(PEOPLE)
     for frame, people in found.items():
         points, boxes = zip(*PEOPLE[frame], strict=True)
         np.testing.assert_allclose(people.points, points, atol=1e-6)
-        if "openpose" not in name:
+        if "mediapipe" in name:
+            assert np.isnan(people.boxes).all()
+            assert people.joints is not None
+            place = np.array(points) / [*STREET_SIZE, 1.0]
+            if "objects" in name:  # in metres
+                np.testing.assert_allclose(people.joints, place[..., [1, 0, 2]] * [1, 1, 0] + [0, 0, 1])
+            else:
+                np.testing.assert_allclose(people.joints[..., :2], np.array(points)[..., :2], atol=1e-6)
+                np.testing.assert_allclose(people.joints[..., 2], 0.01 * np.array(points)[..., 0], atol=1e-6)
+        elif "openpose" not in name:
             np.testing.assert_allclose(people.boxes, boxes, atol=1e-6)
             np.testing.assert_allclose(people.scores, 0.9)
         else:
@@ -157,6 +192,61 @@ def test_annotated_visibilities_are_no_confidences_of_2(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_keypoints(path)[3].points[0, :3, 2], [1.0, 0.4, 0.0])
 
 
+def test_frames_without_people_count_in_lists_of_landmarks(tmp_path: Path) -> None:
+    """A list of frames begins with the recording's first; an entry may be one person's landmarks."""
+    person = [{"x": 0.5, "y": 0.25, "z": 0.0, "visibility": 0.75}] * 33
+    path = tmp_path / "k.json"
+    path.write_text(json.dumps([None, [], person, {"pose_landmarks": None}, [person, person]]))
+    found = read_keypoints(path, size=lambda: (200, 100), first=10)
+    assert {frame: len(people) for frame, people in found.items()} == {12: 1, 14: 2}
+    assert found[12].points is not None
+    np.testing.assert_allclose(found[12].points[0], [[100.0, 25.0, 0.75]] * 17)
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    (folder / "0007.json").write_text(json.dumps(person))
+    assert list(read_keypoints(folder, size=lambda: (200, 100))) == [7]
+    with pytest.raises(InputError, match="images have a size"):
+        read_keypoints(path)
+
+
+LANDMARK = {"x": 0.5, "y": 0.5, "z": 0.0, "visibility": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("entries", "told"),
+    [
+        ([[LANDMARK] * 21], "frame 0, person 0: 21 landmarks, expected 33"),
+        ([[LANDMARK] * 33, [{"x": "left", "y": 0}] * 33], "frame 1, person 0: something else"),
+        ([[LANDMARK] * 33, {"score": 1}], "frame 1 without landmarks"),
+        ([[LANDMARK | {"x": 250.0, "y": 90.0}] * 33], "landmarks in pixels"),
+        ([{"frame": -1, "landmarks": [LANDMARK] * 33}], "frame -1"),
+        ([{"landmarks": [LANDMARK] * 33, "world_landmarks": [[LANDMARK] * 33] * 2}], "2 of 1 people"),
+        ([[LANDMARK] * 32 + [None]], "something else"),
+    ],
+)
+def test_other_landmarks_are_refused(tmp_path: Path, entries: Any, told: str) -> None:
+    path = tmp_path / "k.json"
+    path.write_text(json.dumps(entries))
+    with pytest.raises(InputError, match=told) as error:
+        read_keypoints(path, size=lambda: (200, 100))
+    assert "k.json" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_points_in_space_go_with_the_boxes_through_a_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    points, joints = as_points(rng.uniform(0, 1, (17, 3))), as_points(rng.normal(size=(17, 3)))
+    boxes = [
+        PersonBox(3, 1, (0.0, 0.0, 20.0, 50.0), keypoints=points, joints=joints),
+        PersonBox(3, 2, (30.0, 0.0, 20.0, 50.0), keypoints=points),
+    ]
+    write_keypoints(boxes, tmp_path / "k.json")
+    found = keypoints_by_box(
+        [replace(box, keypoints=None, joints=None) for box in boxes], tmp_path / "k.json"
+    )
+    assert [item.joints for item in found] == [joints, None]
+    assert all(item.keypoints is not None for item in found)
+
+
 ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
 
 
@@ -177,6 +267,7 @@ ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
         ([{"image_id": "street", "keypoints": [1.0] * 51}], "'street'"),
         ([ENTRY | {"bbox": [1, 2]}], "a bbox of 2 numbers"),
         ([ENTRY | {"score": "high"}], "expected numbers"),
+        ([ENTRY | {"keypoints_3d": [1.0] * 50}], "keypoints_3d of 50 numbers"),
         ({"people": []}, "without a frame's number"),
         ([{"frame_id": 0, "instances": [{"keypoints": [[1, 2]] * 17}]}], "without keypoints and"),
         ([{"frame_id": 0, "instances": [{"keypoints": [[1, 2]], "keypoint_scores": [1, 2]}]}], "a score"),

@@ -1,5 +1,6 @@
 """Body and head by keypoints: the model of the package on people whose skeleton is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from perception.pose.classifier import reliability
 from perception.pose.keypoints import (
     BODY,
     BY_NUMBER,
+    EARS,
     HEAD,
+    HIPS,
     N_POINTS,
     NAMES,
+    SHOULDERS,
     USED,
     coco_indices,
+    facing,
     in_coco_order,
     mirrored,
 )
@@ -25,6 +30,7 @@ from perception.synthetic.people import Posture, random_appearance
 from perception.synthetic.scene import Person
 from perception.synthetic.skeletons import (
     NetworkErrors,
+    Skeletons,
     joint_visibility,
     joints_of,
     make_rendered_skeletons,
@@ -34,7 +40,9 @@ from perception.synthetic.skeletons import (
 from perception.training import train_keypoints
 
 MODEL = load_keypoint_pose()
-CERTAIN = NetworkErrors(0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
+CERTAIN = NetworkErrors(0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3, uninformed=0.0)
+CONFIDENT = replace(CERTAIN, unsaid=0.0, uninformed=1.0)
+"""Of a network whose confidences do not follow occlusion."""
 
 
 def all_17(used: np.ndarray) -> np.ndarray:
@@ -44,8 +52,9 @@ def all_17(used: np.ndarray) -> np.ndarray:
     return points
 
 
+@pytest.mark.parametrize("errors", [CERTAIN, CONFIDENT], ids=["certain", "confident"])
 @pytest.mark.parametrize("angle", np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0, -135.0, -90.0, -45.0]))
-def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
+def test_left_and_right_front_and_back_come_out_right(angle: float, errors: NetworkErrors) -> None:
     """Keypoints of a rendered person facing along the body, before a camera at 5 m, without errors."""
     rng = np.random.default_rng(3)
     camera = Camera((5.0, 0.0, 1.5), np.pi, -0.1, 400.0, (400, 400))
@@ -54,7 +63,7 @@ def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
         person = Person(random_appearance(rng), Posture((0.0, 0.0), angle, angle))
         pixels = camera.project(joints_of(person.look, person.posture))
         seen = joint_visibility(person, camera)
-        found.append(perceived(pixels[None], seen[None], 140.0, rng, CERTAIN)[0])
+        found.append(perceived(pixels[None], seen[None], 140.0, rng, errors)[0])
     body, head = MODEL.log_likelihoods(all_17(np.array(found)))
     for classes, said in ((BODY, body), (HEAD, head)):
         error = np.degrees(np.abs(difference(classes.mean_pan(said), angle)))
@@ -108,6 +117,71 @@ def test_an_unseen_face_above_shoulders_that_are_seen_from_behind_says_so() -> N
     p = np.exp(head)
     back = np.abs(wrap(HEAD.pan - np.pi)) < np.deg2rad(50.0)
     assert p[:, back].sum(axis=1).mean() > 0.7
+
+
+@pytest.mark.parametrize("nose", [0.1, 0.5, 0.99])
+def test_the_order_of_shoulders_and_hips_decides_between_front_and_back(nose: float) -> None:
+    """The order of left and right of a back is a back's, whatever the confidence of the face."""
+    points = np.zeros((2, N_POINTS, 3))
+    left = {0: (0.0, 0.06), 1: (-3.0, 0.04), 3: (-7.0, 0.05), 5: (-19.0, 0.2), 11: (-10.0, 0.5)}
+    for k, (x, y) in left.items():
+        points[0, k] = 100.0 + x, 50.0 + 160.0 * y, nose if k <= 3 else 0.95
+        if k:
+            points[0, k + 1] = 100.0 - x, 50.0 + 160.0 * y, nose if k <= 3 else 0.95
+    points[1] = points[0]
+    points[1, 1:] = points[0, [j for k in range(1, 17, 2) for j in (k + 1, k)]]  # left and right exchanged
+    body, _ = MODEL.log_likelihoods(points)
+    back = np.abs(wrap(BODY.pan - np.pi)) < np.deg2rad(50.0)
+    assert np.exp(body[0])[back].sum() > 0.7
+    if nose > 0.3:
+        assert np.exp(body[1])[np.abs(BODY.pan) < np.deg2rad(50.0)].sum() > 0.5
+
+
+def in_space(people: Skeletons, rng: np.random.Generator) -> np.ndarray:
+    """Points (n, 17, 3) in space of people who face as these, as `Joints`, turned with the camera's tilt."""
+    points = np.zeros((len(people), N_POINTS, 3))
+    pairs = (EARS, people.head, 0.08, 1.56), (SHOULDERS, people.body, 0.2, 1.4), (HIPS, people.body, 0.1, 0.9)
+    for pair, angle, half, height in pairs:
+        for k, side in zip(pair, (1.0, -1.0), strict=True):
+            points[:, k] = np.stack(
+                [side * half * np.cos(angle), 0 * angle - height, side * half * np.sin(angle)], 1
+            )
+    nose = np.stack([np.sin(people.head), 0 * people.head, -np.cos(people.head)], 1)
+    points[:, 0] = points[:, EARS].mean(axis=1) + 0.12 * nose
+    tilt = rng.uniform(-0.2, 0.8, len(people))
+    y, z = points[..., 1].copy(), points[..., 2].copy()
+    cos, sin = np.cos(tilt)[:, None], np.sin(tilt)[:, None]
+    points[..., 1], points[..., 2] = cos * y - sin * z, sin * y + cos * z
+    return points
+
+
+def test_points_in_space_give_the_directions_under_any_tilt() -> None:
+    rng = np.random.default_rng(4)
+    people = make_skeletons(200, rng)
+    joints = in_space(people, rng)
+    for found, angle in zip(facing(joints), (people.body, people.head), strict=True):
+        np.testing.assert_allclose(difference(found, angle), 0.0, atol=1e-6)
+    turned = facing(mirrored(joints))
+    for found, angle in zip(turned, (people.body, people.head), strict=True):
+        np.testing.assert_allclose(difference(found, -angle), 0.0, atol=1e-6)
+
+
+def test_points_in_space_decide_where_those_of_the_image_are_poor() -> None:
+    rng = np.random.default_rng(5)
+    people = make_skeletons(2000, rng)
+    points = all_17(
+        perceived(people.points, people.visibility, people.height, rng, replace(CONFIDENT, swapped=0.1))
+    )
+    joints = in_space(people, rng)
+    joints[::2] = np.nan
+    flat, both = MODEL.log_likelihoods(points), MODEL.log_likelihoods(points, joints)
+    for classes, before, after, angle in zip(
+        (BODY, HEAD), flat, both, (people.body, people.head), strict=True
+    ):
+        np.testing.assert_array_equal(after[::2], before[::2])
+        np.testing.assert_allclose(np.exp(after).sum(axis=1), 1.0)
+        errors = [np.abs(difference(classes.mean_pan(said), angle))[1::2].mean() for said in (before, after)]
+        assert errors[1] < 0.5 * errors[0]
 
 
 @pytest.mark.parametrize("rendered", others_slow([False, True], [False]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,11 +17,13 @@ from command import ran, run
 from graphtrack.errors import InputError
 from perception.detection import from_supervision, from_ultralytics, yolo
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
+from perception.detection.onnx_network import OnnxNetwork
+from perception.detection.top_down import SimccNetwork
 from perception.detection.yolo import YoloNetwork, letterboxed
 
 pytest.importorskip("onnx", reason="the extra test has it")
 pytest.importorskip("onnxruntime", reason="the extra networks has it")
-from onnx_files import CELLS, SIDE, brightest, constant, output_of, selecting
+from onnx_files import CELLS, SIDE, brightest, brightest_point, constant, output_of, selecting, simcc
 
 FRAMES = 5
 PERSON = (20, 12, 36, 56, 0.9, 0)
@@ -150,6 +153,151 @@ def test_bad_networks_are_one_line_and_nothing_is_written(
     done = run("observe", walk, *options, tmp_path / "n.onnx", "-o", tmp_path / "out.csv")
     assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["boxes.txt", "n.onnx", "walk"]
+
+
+BOXES = [(40.0, 30.0, 36.0, 80.0), (150.0, 20.0, 30.0, 60.0), (220.0, 0.0, 36.0, 60.0)]
+
+
+def test_points_in_the_crop_of_a_box_are_in_pixels_of_the_image(tmp_path: Path) -> None:
+    picture = np.zeros((128, 256, 3), np.uint8)
+    for x, y in ((50, 60), (165, 30), (250, 5)):
+        picture[y - 2 : y + 3, x - 2 : x + 3, 2] = 120
+        picture[y, x, 2] = 255
+    picture[85:95, 55:65, 0] = 255  # blue
+    network = SimccNetwork(OnnxNetwork(brightest_point(tmp_path / "n.onnx")))
+    assert network.size == (48, 64)
+    people = network.detect(picture, BOXES)
+    np.testing.assert_array_equal(people.boxes, BOXES)
+    assert people.points is not None and people.points.shape == (3, 17, 3)
+    expected = np.array([[50.5, 60.5], [165.5, 30.5], [250.5, 5.5]])
+    np.testing.assert_allclose(people.points[..., :2], np.repeat(expected[:, None], 17, axis=1), atol=1.3)
+    assert (people.points[..., 2] > 0.05).all()
+    assert len(network.detect(picture, [])) == 0
+
+
+def test_the_points_of_other_conventions_are_in_cocos_order(tmp_path: Path) -> None:
+    columns, rows = np.zeros((1, 26, 2 * SIDE)), np.zeros((1, 26, 2 * SIDE))
+    columns[0, np.arange(26), 2 * np.arange(26)] = 0.9
+    rows[0, :, 40] = np.linspace(1.0, 0.0, 26)
+    network = SimccNetwork(OnnxNetwork(simcc(tmp_path / "n.onnx", columns, rows)))
+    points = network.detect(PICTURE, [(20.0, 20.0, SIDE / 1.25, SIDE / 1.25)]).points
+    assert points is not None
+    np.testing.assert_allclose(np.diff(points[0, :, 0]), 1.0, atol=1e-6)
+    np.testing.assert_allclose(points[0, :, 2], np.minimum(0.9, np.linspace(1.0, 0.0, 26)[:17]), atol=1e-6)
+
+
+@pytest.mark.parametrize("with_boxes", [True, False])
+def test_a_network_of_points_in_boxes_is_asked_of_those_given_or_detected(
+    walk: Path, tmp_path: Path, with_boxes: bool
+) -> None:
+    model, out = brightest_point(tmp_path / "p.onnx"), tmp_path / "out.csv"
+    write_boxes(
+        [PersonBox(k, 4, (32.0 * k + 32, 80.0, 32.0, 64.0)) for k in range(FRAMES)], tmp_path / "b.txt"
+    )
+    boxes = ("--boxes", tmp_path / "b.txt")
+    where = boxes if with_boxes else ("--detector", brightest(tmp_path / "d.onnx"))
+    done = run("observe", walk, "--keypoints", model, *where, "-o", out)
+    assert done.returncode == 0 and f"detected keypoints in {FRAMES} frames" in done.stderr
+    rows = pd.read_csv(out)
+    assert len(rows) == FRAMES and "without keypoints" not in done.stderr
+    streamed = run("observe", walk, "--keypoints", model, *where, "-o", "-")
+    assert streamed.returncode == 0 and streamed.stdout.count("body_p0") == FRAMES
+    refused = run("observe", walk, "--keypoints", model, *boxes, "--least-score", 0.5, "-o", out)
+    assert refused.returncode == 2 and "--least-score with a network of keypoints in boxes" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "told"),
+    [
+        ((1, 17, 96), (1, 17, 128), "for an input of 64 × 64, expected YOLO-pose"),
+        ((1, 21, 128), (1, 21, 128), "21 keypoints"),
+        ((1, 17, 128), (1, 26, 128), "expected YOLO-pose"),
+    ],
+)
+def test_other_networks_of_two_outputs_are_refused(
+    tmp_path: Path, columns: tuple[int, ...], rows: tuple[int, ...], told: str
+) -> None:
+    path = simcc(tmp_path / "n.onnx", np.zeros(columns), np.zeros(rows))
+    with pytest.raises(InputError, match=told) as error:
+        SimccNetwork(OnnxNetwork(path))
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_network_whose_scores_are_all_0_gets_a_hint(walk: Path, tmp_path: Path) -> None:
+    """Positions and scores of one scale, as quantised to 8 bits; one line, with what it may be."""
+    quantised = output_of("cells", [(*PERSON[:4], 0.0, 0)], 1)
+    model = constant(tmp_path / "q.onnx", quantised)
+    out = tmp_path / "out.csv"
+    for options in (("-o", out), ("-o", "-")):
+        done = run("observe", walk, "--detector", model, *options)
+        assert done.stderr.count("all scores are 0") == 1 and "quantised to 8 bits" in done.stderr
+    write_boxes([PersonBox(0, 4, (80.0, 48.0, 66.0, 178.0))], tmp_path / "b.txt")
+    points = standing(PERSON)
+    points[2::3] = [0.0] * 17
+    model = constant(tmp_path / "v.onnx", output_of("cells", [(*PERSON, *points)], 1))
+    done = run("observe", walk, "--keypoints", model, "--boxes", tmp_path / "b.txt", "-o", out)
+    assert done.returncode == 0 and done.stderr.count("all visibilities of keypoints are 0") == 1
+    good = run("observe", walk, "--keypoints", pose_network(tmp_path / "g.onnx", PERSON), "-o", out)
+    assert good.returncode == 0 and "are 0" not in good.stderr
+
+
+def test_mediapipe_is_asked_of_boxes_or_says_how_it_is_installed(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A double of the package, whose people stand in the middle of the crop and face away."""
+    write_boxes([PersonBox(k, 4, (80.0, 60.0, 60.0, 140.0)) for k in range(FRAMES)], tmp_path / "b.txt")
+    arguments = (
+        "observe",
+        walk,
+        "--keypoints",
+        "mediapipe",
+        "--boxes",
+        tmp_path / "b.txt",
+        "-o",
+        tmp_path / "o.csv",
+    )
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
+    done = run(*arguments)
+    assert done.returncode == 2 and "pip install --no-deps mediapipe" in done.stderr
+    missing = run(*arguments[:3], tmp_path / "none.json", *arguments[4:])
+    assert missing.returncode == 2 and "no such file" in missing.stderr
+
+    landmark = np.tile([0.5, 0.5, 0.0, 0.99], (33, 1))
+    space = np.zeros((33, 4))
+    for left, right, half, y in (
+        (2, 5, 0.03, -0.62),
+        (7, 8, 0.08, -0.6),
+        (11, 12, 0.2, -0.4),
+        (23, 24, 0.1, 0.0),
+    ):
+        landmark[[left, right], 0] = 0.5 - half / 3.4, 0.5 + half / 3.4
+        landmark[[left, right], 1] = 0.5 + y / 3.4
+        space[[left, right], 0], space[[left, right], 1] = (-half, half), y
+    landmark[0, 1], space[0, :3] = 0.5 - 0.6 / 3.4, (0.0, -0.6, 0.12)
+
+    def as_landmarks(values: np.ndarray) -> Any:
+        names = "x", "y", "z", "visibility"
+        return SimpleNamespace(
+            landmark=[SimpleNamespace(**dict(zip(names, row, strict=True))) for row in values]
+        )
+
+    def process(picture: np.ndarray) -> Any:
+        assert picture.shape == (256, 256, 3)
+        red = picture[..., 0].max() > 100  # of a picture in the order of colours of the package
+        people = as_landmarks(landmark) if red else None
+        return SimpleNamespace(pose_landmarks=people, pose_world_landmarks=as_landmarks(space))
+
+    pose = SimpleNamespace(Pose=lambda **options: SimpleNamespace(process=process))
+    double = SimpleNamespace(solutions=SimpleNamespace(pose=pose))
+    monkeypatch.setitem(sys.modules, "mediapipe", double)
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    rows = pd.read_csv(tmp_path / "o.csv")
+    shown = [k for k in range(FRAMES) if 32 * (k + 1) < 170]  # the red patch is in the crop
+    body = rows[[f"body_p{k}" for k in range(8)]].to_numpy()
+    assert set(rows["frame"]) == set(range(FRAMES))
+    assert (body[shown].argmax(axis=1) == 2).all()  # up in the image, away from the camera
+    assert (body[shown].max(axis=1) > 0.5).all()
 
 
 class Tensor:

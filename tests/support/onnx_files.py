@@ -20,13 +20,17 @@ def written(
     *,
     shape: Sequence[int | str] = (1, 3, SIDE, SIDE),
     notes: Mapping[str, str] | None = None,
+    more: Mapping[str, Sequence[int]] | None = None,
 ) -> Path:
-    """A network from "images" to "output0"."""
+    """A network from "images" to "output0", and before it to ``more`` outputs by shape."""
     graph = helper.make_graph(
         list(steps),
         "network",
         [helper.make_tensor_value_info("images", TensorProto.FLOAT, list(shape))],
-        [helper.make_tensor_value_info("output0", TensorProto.FLOAT, list(output))],
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, list(sides))
+            for name, sides in {**(more or {}), "output0": output}.items()
+        ],
         [numpy_helper.from_array(np.asarray(value), name) for name, value in weights.items()],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
@@ -117,6 +121,44 @@ def selecting(path: Path, rows: np.ndarray, classes: int, most: int = 5, **optio
     columns = ["chosen_boxes", "chosen_score", "chosen_class", *(f"chosen_{name}" for name in parts[2:])]
     steps += [node("Concat", columns, ["output0"], axis=2)]
     return written(path, steps, weights, (1, most, 6 + more), **options)  # type: ignore[arg-type]
+
+
+def simcc(path: Path, columns: np.ndarray, rows: np.ndarray, **options: object) -> Path:
+    """A network in RTMPose's layout that returns the same (1, k, columns) and (1, k, rows) always."""
+    steps = [
+        *saying("simcc_x"),
+        helper.make_node("Add", ["of_rows", "nothing_flat"], ["output0"]),
+    ]
+    weights = weights_of(columns) | {"of_rows": rows.astype(np.float32)}
+    return written(path, steps, weights, rows.shape, more={"simcc_x": columns.shape}, **options)  # type: ignore[arg-type]
+
+
+def brightest_point(path: Path, points: int = 17, columns: int = 48, rows: int = 64) -> Path:
+    """In RTMPose's layout: all points are at the brightest red column and row, in steps of half a pixel."""
+    node = helper.make_node
+    steps = [
+        node("Conv", ["images", "red"], ["brightness"]),
+        node("ReduceMax", ["brightness"], ["of_columns"], axes=[1, 2], keepdims=0),
+        node("ReduceMax", ["brightness"], ["of_rows"], axes=[1, 3], keepdims=0),
+    ]
+    for name, output in (("of_columns", "simcc_x"), ("of_rows", "output0")):
+        steps += [
+            node("Unsqueeze", [name, "last"], [f"{name}_1"]),
+            node("Mul", [f"{name}_1", "halves"], [f"{name}_2"]),  # (1, side, 2)
+            node("Reshape", [f"{name}_2", "flat"], [f"{name}_3"]),
+            node("Mul", [f"{name}_3", "of_points"], [f"{name}_4"]),
+            node("Unsqueeze", [f"{name}_4", "first"], [output]),
+        ]
+    weights = {
+        "red": np.array([[[[1.0]], [[0.0]], [[0.0]]]], np.float32),
+        "halves": np.array([1.0, 0.5], np.float32),
+        "of_points": np.full((points, 1), 0.25, np.float32),
+        "last": np.array([-1], np.int64),
+        "first": np.array([0], np.int64),
+        "flat": np.array([1, -1], np.int64),
+    }
+    more = {"simcc_x": (1, points, 2 * columns)}
+    return written(path, steps, weights, (1, points, 2 * rows), shape=(1, 3, rows, columns), more=more)
 
 
 def brightest(path: Path, **options: object) -> Path:

@@ -373,9 +373,16 @@ def _last_answers(rows: list[_Row]) -> list[_Row]:
 
 
 def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write columns of the native table; without identities each object has the ``track_id`` −1."""
+    """Write columns of the native table, in the order of time, in which a stream has them.
+
+    Without identities each object has the ``track_id`` −1.
+    """
     if "track_id" not in table:
         table = {"track_id": np.full(len(table["frame"]), -1), **table}
+    clock = table.get("t", table.get("frame"))
+    if clock is not None and clock.dtype.kind in "fiuM":
+        order = np.argsort(clock, kind="stable")
+        table = {name: cells[order] for name, cells in table.items()}
     columns = {name: _values(cells) for name, cells in table.items()}
     opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "wt", encoding="ascii", newline="\n") as stream:
