@@ -26,6 +26,7 @@ PERSON_HEIGHT = 1.7
 
 _LARGEST_SETTING = 1e7
 _DISTORTION = tuple(f"Distortion{name}" for name in ("K1", "K2", "P1", "P2", "K3"))
+_PER_PIXEL = "MetresPerPixel"
 _FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))  # any of these names means a fisheye lens
 _QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
@@ -182,9 +183,14 @@ def read_calibration(path: str | Path) -> GroundCamera:
     """Read a camera from the ``Name = number`` lines of an Oxford Town Centre calibration (``.ci``).
 
     x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0. With a line ``FisheyeK1 = number`` (to
-    ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model.
+    ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model. A line
+    ``MetresPerPixel = number`` alone is a view from above at that scale.
     """
     values = _read_settings(path)
+    if set(values) == {_PER_PIXEL}:
+        if not values[_PER_PIXEL] > 0.0:
+            raise InputError(f"a scale of {values[_PER_PIXEL]:g} m a pixel", "more than 0", path=path)
+        return GroundCamera.from_scale(values[_PER_PIXEL])
 
     def take(*names: str) -> list[float]:
         for name in names:
@@ -221,15 +227,17 @@ def write_calibration(
     translation: FloatArray,
     intrinsics: FloatArray,
     *,
+    distortion: Sequence[float] | FloatArray = (),
     fisheye: Sequence[float] | FloatArray = (),
     remarks: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Write a camera that `read_calibration` reads, without distortion or with a fisheye.
+    """Write a camera that `read_calibration` reads, with a lens of one of the two models.
 
     Parameters
     ----------
     rotation, translation : (3, 3) and (3,) metres: a point X of the world has camera coordinates R·X + t
     intrinsics : (3, 3) camera matrix in pixels
+    distortion : k1, k2, p1, p2, k3 of OpenCV's model; none for a lens without
     fisheye : k1 … k4 of OpenCV's fisheye model; none for a pinhole
     remarks : further lines, such as its uncertainty, under names that `read_calibration` does not know
     """
@@ -241,11 +249,21 @@ def write_calibration(
         "PrincipalPointX": intrinsics[0, 2],
         "PrincipalPointY": intrinsics[1, 2],
         "Skew": intrinsics[0, 1],
+        **dict(zip(_DISTORTION, distortion, strict=len(distortion) > 0)),
         **dict(zip(_FISHEYE, fisheye, strict=len(fisheye) > 0)),
         **dict(zip(("TranslationX", "TranslationY", "TranslationZ"), translation, strict=True)),
         **dict(zip(_QUATERNION, Rotation.from_matrix(rotation).as_quat(), strict=True)),
         **remarks,
     }
+    _write_settings(path, values)
+
+
+def write_scale(path: str | Path, metres_per_pixel: float) -> None:
+    """Write a scale without perspective that `read_calibration` reads."""
+    _write_settings(path, {_PER_PIXEL: metres_per_pixel})
+
+
+def _write_settings(path: str | Path, values: Mapping[str, float]) -> None:
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(f"{name} = {float(value)!r}\n" for name, value in values.items())
 

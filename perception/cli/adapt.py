@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.adaptation.models import CameraModels
     from perception.detection.boxes import PersonBox
-    from perception.ground.calibration import FoundView
     from perception.images.frames import Clock, FrameSource
     from perception.storage import ModelCard
 
@@ -55,8 +54,9 @@ def calibrate(
 ) -> None:
     """Estimate a camera's view of the ground from people's boxes or from known points.
 
-    `--calibration` reads the file. Only the size of the frames is used. Without boxes and points, and with an
-    output that ends in .html, a page is written on which points are clicked.
+    With boxes, 95 % intervals are printed, and "scale only" where they are wider than ± 25 %. `--calibration`
+    reads the file. Only the size of the frames is used. Without boxes and points, and with an output that
+    ends in .html, a page is written on which points are clicked.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def calibrate(
     found = found_view(people, frames.size(), np.random.default_rng(seed), person_height)
     found.write(output)
     report_skipped(refused)
-    emit(described(found))
+    emit(found.described())
     for note in found.notes:
         emit(f"  note: {note}")
     emit(f"wrote {output}")
@@ -112,19 +112,6 @@ def _calibrate_by_points(source: Path, output: Path, pairs: Path | None, frame: 
     for line in found.described():
         emit(line)
     emit(f"wrote {output}")
-
-
-def described(found: FoundView) -> str:
-    """Describe a camera's view of the ground, with its uncertainty."""
-    view, std = found.view, found.std
-    return (
-        f"from {found.boxes} boxes of {found.people} people ({100 * found.inliers:.0f} % inliers): "
-        f"focal length {view.focal:.0f} ± {std['focal']:.0f} pixels, "
-        f"{np.degrees(view.tilt):.1f} ± {np.degrees(std['tilt']):.1f}° down, "
-        f"roll {np.degrees(view.roll):.1f} ± {np.degrees(std['roll']):.1f}°, "
-        f"{view.height:.2f} ± {std['height']:.2f} m above the ground; distances on the ground "
-        f"± {100 * found.distance_std:.0f} %"
-    )
 
 
 def adapt_models(

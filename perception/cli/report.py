@@ -14,7 +14,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
-from perception.cli.adapt import PersonHeight, adapt_models, described
+from perception.cli.adapt import PersonHeight, adapt_models
 from perception.cli.observe import ModelOptions
 from perception.cli.options import (
     PRINTED,
@@ -289,7 +289,7 @@ class _Run:
         """Stage 2: the camera, given (with notes on how it was ``fitted``) or estimated."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.ground.calibration import ViewUnknown, found_view
+        from perception.ground.calibration import FoundScale, found_view
 
         place = self.folder.file("calibration")
 
@@ -298,16 +298,15 @@ class _Run:
             if self.known is not None:
                 return [f"the camera is that of {given}", *fitted]
             rng = np.random.default_rng(self.seed)
-            try:
-                found = found_view(self.people, self.frames.size(), rng, self.person_height)
-            except ViewUnknown as error:
-                height = self.person_height
+            found = found_view(self.people, self.frames.size(), rng, self.person_height)
+            if isinstance(found, FoundScale):
                 return [
-                    f"no camera is known ({error.found}): positions are pixels times a scale at which the "
-                    f"median box is {height:g} m high, without perspective; directions are approximate"
+                    f"no camera is known ({found.reason}), scale only: positions are pixels times a scale at "
+                    f"which the median box is {self.person_height:g} m high, without perspective; directions "
+                    "are approximate"
                 ]
             found.write(place)
-            return [f"the camera is estimated {described(found)}", *found.notes]
+            return [f"the camera is estimated, {found.described()}", *found.notes]
 
         asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
         self.assumed += self.folder.stage("ground", asked, (), work)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera, apply_homography, fit_homography
-from graphtrack.io.cameras import read_calibration, write_calibration
+from graphtrack.io.cameras import read_calibration, write_calibration, write_scale
 
 CENTRE = np.array([2.0, -3.0, 6.0])
 DOWNWARD = np.diag([1.0, -1.0, -1.0])
@@ -223,3 +223,18 @@ def test_a_fisheye_is_kept_resized_and_written(tmp_path: Path) -> None:
         stream.write("DistortionK1 = 0.1\n")
     with pytest.raises(InputError, match="one of the two models"):
         read_calibration(tmp_path / "c.ci")
+
+
+def test_a_written_scale_is_read_and_a_negative_one_is_refused(tmp_path):
+    write_scale(tmp_path / "scale.ci", 0.02)
+    assert read_calibration(tmp_path / "scale.ci") == GroundCamera.from_scale(0.02)
+    write_scale(tmp_path / "scale.ci", -0.02)
+    with pytest.raises(InputError, match=r"a scale of -0\.02 m a pixel"):
+        read_calibration(tmp_path / "scale.ci")
+
+
+def test_a_written_lens_is_read(tmp_path):
+    rotation, lens = np.diag([1.0, -1.0, -1.0]), [-0.2, 0.05, 0.0, 0.0, 0.0]
+    matrix = np.array([[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]])
+    write_calibration(tmp_path / "c.ci", rotation, np.array([0.0, 0.0, 5.0]), matrix, distortion=lens)
+    np.testing.assert_array_equal(read_calibration(tmp_path / "c.ci").distortion, lens)

@@ -1,22 +1,27 @@
 """A camera without a calibration: the view from boxes, its uncertainty, and insufficient boxes."""
 
-from dataclasses import astuple
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from command import ran
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from street_boxes import Detector, fragmented, street
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.cameras import read_calibration
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.ground.calibration import FoundView, found_view, people_of
-from perception.ground.fitting import RADIUS, RADIUS_STD, PinholeView, box_heights
+from perception.ground.calibration import FoundScale, FoundView, complete_boxes, found_view, people_of
+from perception.ground.fitting import PRIOR_MEAN, PRIOR_STD, RADIUS, PinholeView, box_heights, ground_points
 from perception.synthetic.cameras import Camera
 
 SIZE = (1280, 720)
+VIEW = PinholeView(1000.0, np.deg2rad(28.0), 0.0, 5.0, -0.1)
+NAMES = ("focal", "tilt", "height")
 
 
 def crowd(
@@ -31,7 +36,7 @@ def crowd(
     farthest: float = 60.0,
 ) -> list[PersonBox]:
     """Boxes around cylinders that walk straight, of heights about 1.7 m, and boxes of nothing."""
-    radius = 1.7 * float(np.clip(rng.normal(RADIUS, RADIUS_STD), 0.02, 0.25))
+    radius = 1.7 * float(np.clip(rng.normal(PRIOR_MEAN[RADIUS], PRIOR_STD[RADIUS]), 0.02, 0.25))
     around = 2.0 * np.pi * np.arange(24) / 24
     ring = np.column_stack([radius * np.cos(around), radius * np.sin(around), np.zeros(24)])
     ground, boxes, count = camera.ground_camera(), [], 0
@@ -68,16 +73,16 @@ def some_camera(rng: np.random.Generator) -> Camera:
     return Camera((0.0, 0.0, rng.uniform(3.0, 8.0)), 1.0, pitch, SIZE[0] * rng.uniform(0.7, 1.3), SIZE)
 
 
-def deviations(found: FoundView, camera: Camera) -> FloatArray:
-    """Errors of focal length, tilt, roll and height in standard deviations."""
-    view, std = found.view, found.std
-    errors = {
-        "focal": view.focal - camera.focal,
-        "tilt": view.tilt + camera.pitch,
-        "roll": view.roll,
-        "height": view.height - camera.position[2],
-    }
-    return np.array([errors[name] / std[name] for name in errors])
+def holds(found: FoundView, camera: Camera) -> list[bool]:
+    """Return whether the intervals of focal length, tilt, roll and height contain the camera's."""
+    true = {"focal": camera.focal, "tilt": -camera.pitch, "roll": 0.0, "height": camera.position[2]}
+    return [low <= true[name] <= high for name, (low, high) in found.interval.items()]
+
+
+def found_in(boxes: list[PersonBox], size: tuple[int, int] = SIZE, height: float = 1.7) -> FoundView:
+    found = found_view(boxes, size, np.random.default_rng(0), height)
+    assert isinstance(found, FoundView), found.described()
+    return found
 
 
 def test_a_view_is_the_synthetic_camera_that_looks_the_same_way() -> None:
@@ -87,47 +92,133 @@ def test_a_view_is_the_synthetic_camera_that_looks_the_same_way() -> None:
     np.testing.assert_allclose(seen.ground_to_image(places), camera.ground_camera().ground_to_image(places))
 
 
-def test_box_heights_are_those_of_projected_cylinders() -> None:
-    view = PinholeView(800.0, 0.5, 0.2, 6.0)
-    vector = np.array([np.log(800.0), 0.5, 0.2, np.log(6.0 / 1.7)])
-    assert astuple(PinholeView.from_vector(vector, 1.7)) == pytest.approx(astuple(view))
-    feet = np.random.default_rng(0).uniform((-500.0, -100.0), (500.0, 340.0), (30, 2))
-    ground = view.camera(SIZE).image_to_ground(feet + np.array(SIZE) / 2.0)
+@pytest.mark.parametrize("k1", [-0.15, 0.0, 0.05])
+def test_box_heights_are_those_of_projected_cylinders(k1: float) -> None:
+    view = PinholeView(800.0, 0.5, 0.2, 6.0, k1, (12.0, -9.0))
+    camera, wide = view.camera(SIZE), float(SIZE[0])
+    vector = np.array(
+        [np.log(800.0 / wide), 0.5, 0.2, np.log(6.0 / 1.7), k1, 12.0 / wide, -9.0 / wide, 0.11, 0.0]
+    )
+    feet = np.random.default_rng(0).uniform((-450.0, -60.0), (450.0, 300.0), (30, 2))
+    corner = float(np.hypot(*SIZE)) / 2.0 / wide
+    ground = camera.image_to_ground(feet + np.array(SIZE) / 2.0)
     away = ground / np.linalg.norm(ground, axis=1, keepdims=True)
-    top = np.column_stack([ground + 2.0 * RADIUS * 1.7 * away, np.full(30, 1.7)])
+    top = np.column_stack([ground + 2.0 * 0.11 * 1.7 * away, np.full(30, 1.7)])
     seen = top @ view.rotation.T + view.translation
-    expected = feet[:, 1] - view.focal * seen[:, 1] / seen[:, 2]
-    np.testing.assert_allclose(box_heights(vector, feet), expected, rtol=1e-4)
+    pixel = camera.distort(800.0 * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2.0 + (12.0, -9.0))
+    expected = feet[:, 1] + SIZE[1] / 2.0 - pixel[:, 1]
+    np.testing.assert_allclose(wide * box_heights(vector, feet / wide, corner), expected, rtol=1e-4)
+    in_camera = 1.7 * ground_points(vector, feet / wide, corner).T
+    np.testing.assert_allclose((in_camera - view.translation) @ view.rotation[:, :2], ground, atol=1e-4)
+
+
+def coverage(seeds: range) -> FloatArray:
+    """Return which intervals (streets, 3) of focal length, tilt and height hold; check the scales only."""
+    hold = []
+    for seed in seeds:
+        one = street(seed)
+        found = found_view(one.boxes, one.size, np.random.default_rng(0))
+        if isinstance(found, FoundScale):
+            assert "scale only" in found.described()
+            continue
+        ends = {name: found.interval[name] for name in ("focal", "tilt", "height")}
+        wide = any(high - low > 0.5 * abs(getattr(found.view, name)) for name, (low, high) in ends.items())
+        assert (
+            wide == ("scale only" in found.described()) == any("scale only" in note for note in found.notes)
+        )
+        hold.append([low <= getattr(one.view, name) <= high for name, (low, high) in ends.items()])
+    return np.array(hold)
+
+
+def test_intervals_hold_in_simulated_streets() -> None:
+    hold = coverage(range(200, 208))
+    assert len(hold) >= 5
+    assert hold.mean() >= 0.85
 
 
 @pytest.mark.slow
-def test_cameras_are_recovered_within_what_is_said() -> None:
-    scores = []
-    for seed in range(16):
-        rng = np.random.default_rng(seed)
-        camera = some_camera(rng)
-        try:
-            scores.append(deviations(found_view(crowd(camera, rng, people=50), SIZE, rng), camera))
-        except InputError:
-            continue  # it may report that it is undetermined
-    assert len(scores) >= 10
-    assert (np.abs(scores) < 2.5).mean() > 0.9
-    assert (np.abs(scores) < 0.7).mean() < 0.75  # and the interval is not far too wide
+def test_intervals_hold_in_many_simulated_streets() -> None:
+    hold = coverage(range(300, 360))
+    assert len(hold) >= 40
+    assert (hold.mean(axis=0) >= 0.9).all(), hold.mean(axis=0)
+
+
+@pytest.mark.parametrize("detector", ["exact", "noisy"])
+def test_fragments_do_not_narrow_the_intervals(detector: Detector) -> None:
+    one = street(400, detector=detector, people=24, size=(1280, 720), view=VIEW)
+    parts = fragmented(one.boxes, np.random.default_rng(0), longest=8)
+    assert len({item.track_id for item in parts}) > 3 * one.people
+    joined, cut = (found_in(boxes, one.size) for boxes in (one.boxes, parts))
+    assert cut.people <= 1.3 * joined.people
+
+    def width(found: FoundView) -> FloatArray:
+        return np.array(
+            [np.subtract(*found.interval[name][::-1]) / abs(getattr(found.view, name)) for name in NAMES]
+        )
+
+    assert (width(cut) > 0.8 * width(joined)).all()
+
+
+def test_boxes_given_twice_are_of_the_same_people() -> None:
+    one = street(401, detector="exact", people=20, size=(1280, 720), view=VIEW)
+    twice = [*one.boxes, *(replace(item, track_id=item.track_id + 500) for item in one.boxes)]
+    assert found_in(twice, one.size).people == found_in(one.boxes, one.size).people
+
+
+def test_a_view_of_resized_images_is_resized() -> None:
+    one = street(402, detector="exact", people=20, size=(1280, 720), view=VIEW)
+    inside = [item for item in one.boxes if complete_boxes(np.array([item.box]) * 0.5, (640, 360))[0]]
+    half = [replace(item, box=tuple(0.5 * side for side in item.box)) for item in inside]
+    large, small = found_in(inside, (1280, 720)), found_in(half, (640, 360))
+    assert small.view.focal == pytest.approx(0.5 * large.view.focal, rel=0.02)
+    for name in ("tilt", "height"):
+        assert getattr(small.view, name) == pytest.approx(getattr(large.view, name), rel=0.02)
+        assert small.interval[name] == pytest.approx(large.interval[name], rel=0.05)
+
+
+walks = st.tuples(
+    st.floats(-0.2, 1.2),
+    st.floats(-0.2, 1.2),
+    st.floats(0.002, 0.9),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.05, 0.05),
+)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(walks, min_size=1, max_size=12), st.integers(1, 12), st.booleans())
+def test_no_boxes_end_in_an_error(people: list[tuple[float, ...]], frames: int, identified: bool) -> None:
+    boxes = []
+    for name, (across, along, tall, aside, down) in enumerate(people):
+        for k in range(frames):
+            left, top = (across + k * aside) * 320.0, (along + k * down) * 240.0
+            box = (left, top, 0.4 * tall * 240.0, tall * 240.0)
+            boxes.append(PersonBox(k, name if identified else len(boxes) + 1, box, identified=identified))
+    try:
+        found = found_view(boxes, (320, 240), np.random.default_rng(0))
+    except InputError as error:
+        assert "outside the image" in str(error)
+        return
+    assert found.described()
+    if isinstance(found, FoundView):
+        ends = np.array([*found.interval.values()])
+        assert np.isfinite(ends).all() and (ends[:, 0] <= ends[:, 1]).all()
+    ground = found.camera.image_to_ground([[160.0, 235.0]])
+    assert ground.shape == (1, 2)
 
 
 @pytest.mark.parametrize("identified", [True, False])
 def test_false_detections_hardly_matter(identified: bool) -> None:
     rng = np.random.default_rng(1)
     camera = Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE)
-    found = found_view(crowd(camera, rng, people=60, false=0.3, identified=identified), SIZE, rng)
-    assert found.view.focal == pytest.approx(camera.focal, rel=0.25)
-    assert np.abs(deviations(found, camera)[:2]).max() < 2.5
+    found = found_in(crowd(camera, rng, people=60, false=0.3, identified=identified))
+    assert all(holds(found, camera))
 
 
 def test_the_scale_is_that_of_people() -> None:
     camera = Camera((0.0, 0.0, 4.0), 1.0, -0.45, 1100.0, SIZE)
     boxes = crowd(camera, np.random.default_rng(3))
-    small, large = (found_view(boxes, SIZE, np.random.default_rng(0), height) for height in (0.85, 1.7))
+    small, large = (found_in(boxes, height=height) for height in (0.85, 1.7))
     assert large.view.height == pytest.approx(2.0 * small.view.height)
     assert large.view.focal == pytest.approx(small.view.focal)
 
@@ -139,30 +230,36 @@ def test_turning_the_image_around_turns_the_roll_around() -> None:
         PersonBox(item.frame, item.track_id, (SIZE[0] - item.box[0] - item.box[2], *item.box[1:]))
         for item in boxes
     ]
-    one, other = (found_view(those, SIZE, np.random.default_rng(0)).view for those in (boxes, mirrored))
+    one, other = (found_in(those).view for those in (boxes, mirrored))
     assert (other.focal, other.tilt, other.roll, other.height) == pytest.approx(
-        (one.focal, one.tilt, -one.roll, one.height), rel=1e-3, abs=1e-5
+        (one.focal, one.tilt, -one.roll, one.height), rel=0.02, abs=2e-3
     )
 
 
 @pytest.mark.parametrize(
     ("camera", "options", "words"),
     [
-        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "people: too few to calibrate"),
+        (Camera((0.0, 0.0, 4.0), 1.0, -0.4, 1100.0, SIZE), {"people": 4}, "of 4 people are too few"),
         (
             Camera((0.0, 0.0, 2.0), 1.0, -0.05, 1100.0, SIZE),
             {"nearest": 19.5, "farthest": 20.5, "noise": 0.01},
-            "the ground",
+            "scale only",
         ),
-        (Camera((0.0, 0.0, 8.0), 1.0, -1.5, 900.0, SIZE), {}, "the ground|ground plane"),
-        (Camera((0.0, 0.0, 1.7), 1.0, 0.0, 1100.0, SIZE), {"nearest": 12.0, "noise": 0.1}, "the ground"),
+        (Camera((0.0, 0.0, 8.0), 1.0, -1.5, 900.0, SIZE), {}, "scale only"),
+        (Camera((0.0, 0.0, 1.7), 1.0, 0.0, 1100.0, SIZE), {"nearest": 12.0, "noise": 0.1}, "scale only"),
     ],
     ids=["few people", "all at one depth", "from above", "level and noisy"],
 )
-def test_views_that_do_not_tell_are_refused(camera: Camera, options: dict[str, float], words: str) -> None:
+def test_views_that_do_not_tell_are_a_scale_only(
+    camera: Camera, options: dict[str, float], words: str, tmp_path: Path
+) -> None:
     boxes = crowd(camera, np.random.default_rng(0), **options)
-    with pytest.raises(InputError, match=words):
-        found_view(boxes, SIZE, np.random.default_rng(0))
+    found = found_view(boxes, SIZE, np.random.default_rng(0))
+    assert found.described().startswith("scale only") and words in found.described()
+    found.write(tmp_path / "camera.ci")
+    foot = [[640.0, 700.0], [640.0, 710.0]]
+    written = read_calibration(tmp_path / "camera.ci")
+    np.testing.assert_allclose(written.image_to_ground(foot), found.camera.image_to_ground(foot), rtol=1e-9)
 
 
 def test_boxes_of_another_image_are_refused() -> None:
@@ -189,19 +286,23 @@ def test_the_command_writes_a_calibration_that_is_read(tmp_path: Path) -> None:
     camera = Camera((0.0, 0.0, 4.0), 1.0, -0.45, 1100.0, SIZE)
     frames, boxes = written(tmp_path, crowd(camera, np.random.default_rng(5)))
     done = ran("calibrate", frames, "--boxes", boxes, "-o", tmp_path / "camera.ci")
-    assert "without distortion" in done.stdout + done.stderr
+    assert "95 %" in done.stdout + done.stderr and "k1" in done.stdout + done.stderr
     found = read_calibration(tmp_path / "camera.ci")
-    expected = found_view(read_boxes(boxes), SIZE, np.random.default_rng(0))
+    expected = found_in(read_boxes(boxes))
     np.testing.assert_allclose(found.homography, expected.camera.homography)
-    assert "FocalLengthStd" in (tmp_path / "camera.ci").read_text()
+    np.testing.assert_allclose(found.distortion, expected.view.distortion)
+    assert all(
+        name in (tmp_path / "camera.ci").read_text() for name in ("FocalLengthStd", "FocalLengthLow95")
+    )
 
 
 def test_town_centre_is_found_from_its_public_detections(data_dir: Path) -> None:
     town_centre = data_dir / "towncentre"
     boxes = read_boxes(town_centre / "frames_001_150" / "det.txt")
-    found = found_view(boxes, (1920, 1080), np.random.default_rng(0))
-    assert found.view.focal == pytest.approx(2696.36, rel=0.1)
-    assert np.degrees(found.view.tilt) == pytest.approx(20.04, abs=3.0)
+    found = found_in(boxes, (1920, 1080))
+    assert found.interval["focal"][0] < 2696.36 < found.interval["focal"][1]
+    low, high = np.degrees(found.interval["tilt"])
+    assert low < 20.04 < high
     known = read_calibration(town_centre / "calibration.ci")
     feet = np.array([(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in boxes])
     first, second = np.random.default_rng(0).integers(len(feet), size=(2, 2000))
