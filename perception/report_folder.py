@@ -315,6 +315,7 @@ def write_page(
     observations: TrackSet,
     video: Path,
     assumptions: Sequence[str],
+    *,
     methods: Sequence[str],
     background: Backdrop | None = None,
     figures: Path | None = None,

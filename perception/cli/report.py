@@ -446,9 +446,9 @@ class _Run:
                 observations,
                 video,
                 lines,
-                self.folder.file("methods").read_text("utf-8").splitlines(),
-                under,
-                self.folder.path / FIGURES if figures else None,
+                methods=self.folder.file("methods").read_text("utf-8").splitlines(),
+                background=under,
+                figures=self.folder.path / FIGURES if figures else None,
             )
             return []
 
