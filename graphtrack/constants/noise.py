@@ -340,12 +340,17 @@ def with_offset(estimates: Track, offset: Persistent, camera: GroundCamera | Non
     """Return estimates whose covariances have that of the offset."""
     if not offset.is_any or estimates.covariance is None:
         return estimates
-    bearing = np.zeros(len(estimates)) if camera is None else camera.ray_bearing(estimates.position)
-    ray, side = unit(bearing), unit(bearing + 0.5 * math.pi)
     covariance = estimates.covariance.copy()
-    covariance[:, :2, :2] += offset.along**2 * ray[:, :, None] * ray[:, None, :]
-    covariance[:, :2, :2] += offset.across**2 * side[:, :, None] * side[:, None, :]
+    covariance[:, :2, :2] += offset_covariance(estimates.position, offset, camera)
     return replace(estimates, covariance=covariance)
+
+
+def offset_covariance(position: FloatArray, offset: Persistent, camera: GroundCamera | None) -> FloatArray:
+    """Return the covariances (n, 2, 2) of an offset of people at positions (n, 2), m²."""
+    bearing = np.zeros(len(position)) if camera is None else camera.ray_bearing(position)
+    ray, side = unit(bearing), unit(bearing + 0.5 * math.pi)
+    along, across = (way[:, :, None] * way[:, None, :] for way in (ray, side))
+    return np.asarray(offset.along**2 * along + offset.across**2 * across)
 
 
 def learned_stds(

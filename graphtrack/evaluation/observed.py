@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from scipy.stats import vonmises
 
 from graphtrack.constants.filters import Persistent
-from graphtrack.constants.noise import with_offset
+from graphtrack.constants.noise import offset_covariance
 from graphtrack.constants.personal import parameters_of
 from graphtrack.constants.prediction import LEAST, Observed
 from graphtrack.evaluation.metrics import CONFIDENCES, TrackCalibration, calibration_rows
@@ -68,7 +68,7 @@ def _calibration(
     estimate = solution.track
     if estimate.covariance is None or len(estimate) != len(track):
         return {}
-    parameters, estimate = _believed(solution, model), _without_offset(solution, camera)
+    parameters, estimate = _believed(solution, model), _without_offset(estimate, solution, camera)
     assert estimate.covariance is not None
     given = Observed.of([track], parameters, camera)
     found = {"position": (_of_positions(given, estimate), 2)}
@@ -91,14 +91,15 @@ def _believed(solution: Solution, model: Model) -> Parameters:
     return replace(model.parameters, likelihood=replace(model.parameters.likelihood, **own))
 
 
-def _without_offset(solution: Solution, camera: GroundCamera | None) -> Track:
+def _without_offset(estimate: Track, solution: Solution, camera: GroundCamera | None) -> Track:
     """Return the estimates without the variance of an offset that all of a person's observations share."""
-    estimate, noise = solution.track, {} if solution.constants is None else solution.constants.noise
-    assert estimate.covariance is not None
+    noise = {} if solution.constants is None else solution.constants.noise
     offset = Persistent(noise.get("offset_along", 0.0), noise.get("offset_across", 0.0))
-    added = with_offset(replace(estimate, covariance=np.zeros_like(estimate.covariance)), offset, camera)
-    assert added.covariance is not None
-    return replace(estimate, covariance=estimate.covariance - added.covariance)
+    if not offset.is_any or estimate.covariance is None:
+        return estimate
+    covariance = estimate.covariance.copy()
+    covariance[:, :2, :2] -= offset_covariance(estimate.position, offset, camera)
+    return replace(estimate, covariance=covariance)
 
 
 def _summary(squares: FloatArray, degrees: int) -> TrackCalibration:
