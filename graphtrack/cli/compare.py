@@ -12,6 +12,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import (
     emit,
     input_warnings_as_notes,
+    option_name,
     print_table,
     progress_bar,
     quiet_input_warnings,
@@ -184,7 +185,7 @@ def compare(
     parameters : Output of 'graphtrack fit --groups' (.toml), for the methods groups and online.
     """
     of_tracks = {"occlude": occlude, "figures": figures, "trust": trust} | vars(noise)
-    refused = {options.option_name(name): one for name, one in of_tracks.items()}
+    refused = {option_name(name): one for name, one in of_tracks.items()}
     if groups is not None:
         refused |= {"--truth": truth, "--metres": metres, "--fill": fill, "--model": model}
         options.refuse(refused, "with --groups", "no such option: methods that find groups have none")

@@ -197,6 +197,20 @@ def input_warnings_as_notes() -> Iterator[None]:
         emit(f"  note: {message}")
 
 
+def option_name(name: str) -> str:
+    """Return the command-line spelling of an option from its field name."""
+    return "--class" if name == "classes" else f"--{name.replace('_', '-')}"
+
+
+def command_line(words: Sequence[str], options: Mapping[str, Any]) -> str:
+    """Return words and options, by their field names, as they are typed in a shell."""
+    typed = [*words]
+    for name, value in options.items():
+        for one in value if isinstance(value, list) else [value]:
+            typed += [option_name(name), f"{one:g}" if isinstance(one, float) else str(one)]
+    return printable(shlex.join(typed), one_line=True)
+
+
 def write_tracks(
     tracks: TrackSet, output: Path, *, spreadsheet: bool = False, intervals: float | None = None
 ) -> None:
@@ -212,11 +226,10 @@ def write_tracks(
     with input_warnings_as_notes():
         share = None if intervals is None else intervals / 100.0
         write(tracks, output, spreadsheet=spreadsheet, intervals=share)
-    written = columns_as_read(tracks[:1]).keys()
-    keeps_names = format_for_writing(output).write_columns is not None
-    if keeps_names and (again := options_to_read(tracks.as_read, written)):
-        words = [word for name, value in again.items() for word in (f"--{name.replace('_', '-')}", value)]
-        emit(f"  {output} is read by: {printable(shlex.join(words), one_line=True)}")
+    if tracks.as_read is None or format_for_writing(output).write_columns is None:
+        return
+    if again := options_to_read(tracks.as_read, columns_as_read(tracks[:1]).keys()):
+        emit(f"  {output} is read by: {command_line([], again)}")
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
@@ -13,10 +12,11 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import (
+    command_line,
     console,
     emit,
+    option_name,
     print_table,
-    printable,
     quiet_input_warnings,
     write_json,
     write_tracks,
@@ -95,19 +95,15 @@ def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path 
     from graphtrack.io.suggestion import suggest
 
     given = reading.given()
-    unknown = [options.option_name(name) for name in given if name not in _KEPT]
+    unknown = [option_name(name) for name in given if name not in _KEPT]
     if len(inputs) != 1 or unknown or json_path is not None:
         found_ = f"--suggest with {', '.join(unknown) or 'other outputs or several files'}"
-        known = ", ".join(map(options.option_name, _KEPT))
+        known = ", ".join(map(option_name, _KEPT))
         raise InputError(found_, f"one file, and no options but {known}")
     found = _with_angles(suggest(inputs[0], given), inputs[0])
-    words = ["graphtrack", "info", str(inputs[0])]
-    for name, value in found.options.items():
-        for one in value if isinstance(value, list) else [value]:
-            words += [options.option_name(name), f"{one:g}" if isinstance(one, float) else str(one)]
     for remark in found.remarks:
         emit(f"  note: {remark}")
-    print(printable(shlex.join(words), one_line=True))
+    print(command_line(["graphtrack", "info", str(inputs[0])], found.options))
 
 
 def _with_angles(found: Suggestion, path: Path) -> Suggestion:

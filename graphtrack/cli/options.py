@@ -28,6 +28,7 @@ from typing import (
 
 import typer
 
+from graphtrack.cli.console import emit, option_name, print_summary, quiet_input_warnings
 from graphtrack.errors import InputError
 from graphtrack.io.source import place_of
 
@@ -223,7 +224,6 @@ class MetricReading:
         camera_used : whether the camera has a use, although the input has no pixels
         """
         from graphtrack.association.associate import tracks_of_rows
-        from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
         from graphtrack.io.read_write import NO_PIXELS, read_with
 
         origin = None if reference is None else reference.as_read
@@ -335,11 +335,6 @@ class Showing:
             # Report a viewer that does not answer in one line, without Rerun's log.
             os.environ.setdefault("RUST_LOG", "off")
         return found
-
-
-def option_name(name: str) -> str:
-    """Return the command-line spelling of an option from its field name."""
-    return "--class" if name == "classes" else f"--{name.replace('_', '-')}"
 
 
 def documented(*texts: str | None) -> tuple[str, dict[str, tuple[str, str]]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit
+from graphtrack.cli.console import emit, option_name
 from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
@@ -159,7 +159,7 @@ def view(
 
     if [str(path) for path in inputs] == ["-"]:
         given = {"video": video, "boxes": boxes, "groups": groups, "forecast": forecast, **reading.given()}
-        _show_stream(showing, person, {options.option_name(name): value for name, value in given.items()})
+        _show_stream(showing, person, {option_name(name): value for name, value in given.items()})
         return
     showing.target()
     ahead = _number(forecast)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, print_table, progress_bar, write_tracks
+from graphtrack.cli.console import BAD_INPUT, emit, option_name, print_table, progress_bar, write_tracks
 from graphtrack.cli.fit import UNKNOWN, sensors_learned
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import check_place, destination, scratch_folder
@@ -196,7 +196,7 @@ def smooth(
         unused |= {"--trust": trust not in (None, "declared")}
         streamed = ("fps", "select", "format", "associate", "sensors", *options.CAMERA)
         given = reading.given().items()
-        unused |= {options.option_name(name): value for name, value in given if name not in streamed}
+        unused |= {option_name(name): value for name, value in given if name not in streamed}
         unused |= {"--format": reading.format not in (None, "parquet")}
         smooth_streamed(
             check_streamed(inputs, output, unused),

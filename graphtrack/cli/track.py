@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import BAD_INPUT, emit, input_warnings_as_notes, progress_bar, write_tracks
+from graphtrack.cli.console import (
+    BAD_INPUT,
+    emit,
+    input_warnings_as_notes,
+    option_name,
+    progress_bar,
+    write_tracks,
+)
 from graphtrack.errors import NO_POSITION, InputError
 from graphtrack.io.source import place_of
 from graphtrack.tracks.display import counted, duration
@@ -94,7 +101,7 @@ def track(
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
         if refused:
-            names = ", ".join(map(options.option_name, refused))
+            names = ", ".join(map(option_name, refused))
             raise InputError(f"{names} with -", "these options with a file only")
         from graphtrack.geometry.walkable import WalkableArea
         from graphtrack.streaming.answers import StreamBounds

@@ -65,7 +65,7 @@ def columns_text(columns: Mapping[str, str]) -> str:
     )
 
 
-def options_to_read(as_read: AsRead | None, written: Collection[str]) -> dict[str, str]:
+def options_to_read(as_read: AsRead, written: Collection[str]) -> dict[str, str]:
     """Return the options that read a table again that was written with the names and units of another.
 
     Parameters
@@ -73,8 +73,6 @@ def options_to_read(as_read: AsRead | None, written: Collection[str]) -> dict[st
     as_read : names and units
     written : columns of the table
     """
-    if as_read is None:
-        return {}
     renamed = {
         "id" if key == "track_id" else key: name
         for key, name in as_read.columns.items()

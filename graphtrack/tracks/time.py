@@ -41,6 +41,8 @@ NANOSECONDS_IN = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Unit of time → nanoseconds."""
 
 UNIT_OF = {count: unit for unit, count in NANOSECONDS_IN.items()}
+"""Nanoseconds → unit of time."""
+
 DAY = 86_400 * 10**9
 """Nanoseconds."""
 EPOCH = 1e8

@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from graphtrack.cli import options
+from graphtrack.cli.console import option_name
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
 from perception.cli.options import PRINTED, Reports, in_time, stamp_of, stamp_of_camera
@@ -141,7 +142,7 @@ class NetworkOptions:
         for name in ("person_class", "input_size", "least_score"):
             if getattr(self, name) is not None and self.detector is None and pose_file is None:
                 expected = "--detector, or --keypoints with a network (.onnx)"
-                raise InputError(f"{options.option_name(name)} without a network", expected)
+                raise InputError(f"{option_name(name)} without a network", expected)
         settings: dict[str, Any] = {"size": self._size(), "person": self.person_class}
         if self.least_score is not None:
             settings["least"] = self.least_score
