@@ -2,8 +2,8 @@
 
 How unsteadily somebody walks and turns differs between people by orders of magnitude, and whether body and
 head face where they go depends on what people do. The evidence of a person's motion and turning is the
-likelihood of the innovations of filters, over a grid of constants; that of the couplings is how well the
-smoothed estimate from all other observations predicts each single one. The prior is what the people of the
+likelihood of the innovations of filters, over a grid of constants; that of the couplings is how well
+smoothed estimates without half of the angles predict that half. The prior is what the people of the
 recording have in common: an empirical Bayes estimate with static multiple models. Estimates are averaged over
 the couplings.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,7 +39,7 @@ from graphtrack.constants.population import (
     learned,
     posterior,
 )
-from graphtrack.constants.prediction import Observed, leave_one_out
+from graphtrack.constants.prediction import HALVES, held_out_density, without_half
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
 from graphtrack.inference.engines import Failure, PersonalConstants, Solution, with_every_row
@@ -193,42 +194,42 @@ def _over_couplings(
     Its shares of couplings are learned unless they are ``known``.
     """
     alternatives = alternatives_of(model)
-    judged = _middles(tracks, JUDGED, FEWEST_JUDGED)
-    found: list[Sequence[Solution | Failure | None]] = [
-        solve(judged, model, motion | _strengths(one, model, len(tracks)), None) for one in alternatives
-    ]
-    failed = np.array([any(isinstance(one[m], Failure) for one in found) for m in range(len(tracks))])
-    kept = np.flatnonzero(~failed).tolist()
+    couplings = [_strengths(one, model, len(tracks)) for one in alternatives]
+    evidence, judged = _coupling_evidence(tracks, model, solve, [motion | one for one in couplings])
     prior = shares.coupling_of(alternatives)
-    evidence = np.zeros((len(tracks), len(alternatives)))
-    if kept:
-        given = Observed.of([judged.tracks[m] for m in kept], model.parameters, tracks.camera)
-        outliers = model.parameters.likelihood.outlier_probability
-        for k, part in enumerate(found):
-            evidence[kept, k] = leave_one_out(given, [_track_of(part[m]) for m in kept], outliers)
     if not known:
-        prior = learned(evidence[kept], tuple(prior.tolist()), shares.people, None)
+        prior = learned(evidence[judged], tuple(prior.tolist()), shares.people, None)
         shares = shares.with_coupling(alternatives, prior)
     weights = posterior(evidence, prior)
     weights[weights < _NEGLIGIBLE] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
-    if judged is tracks:
-        if progress is not None:
-            progress(tracks.n_frames)
-    else:
-        lengths = np.array([len(track) for track in tracks])
-        shared = _Shared(progress, tracks.n_frames, int((weights > 0.0).sum(axis=1) @ lengths))
-        found = [
-            _some(
-                tracks,
-                weights[:, k] > 0.0,
-                motion | _strengths(one, model, len(tracks)),
-                lambda some, own: solve(some, model, own, shared),
-            )
-            for k, one in enumerate(alternatives)
-        ]
+    lengths = np.array([len(track) for track in tracks])
+    shared = _Shared(progress, tracks.n_frames, int((weights > 0.0).sum(axis=1) @ lengths))
+    found = [
+        _some(tracks, own > 0.0, motion | one, lambda some, own: solve(some, model, own, shared))
+        for one, own in zip(couplings, weights.T, strict=True)
+    ]
     answers = [_of_one([part[m] for part in found], weights[m]) for m in range(len(tracks))]
     return answers, weights, shares
+
+
+def _coupling_evidence(
+    tracks: TrackSet, model: Model, solve: Solve, alternatives: Sequence[Mapping[str, FloatArray]]
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the log evidence (m, k) of alternatives' parameters, and the tracks (m,) that were solved."""
+    evidence, judged = np.zeros((len(tracks), len(alternatives))), np.ones(len(tracks), dtype=bool)
+    parts = _middles(tracks, JUDGED, FEWEST_JUDGED)
+    for half in HALVES:
+        given = parts.map(partial(without_half, half=half, parameters=model.parameters))
+        for k, own in enumerate(alternatives):
+            found = solve(given, model, own, None)
+            judged &= [isinstance(one, Solution) for one in found]
+            kept = [m for m, one in enumerate(found) if isinstance(one, Solution)]
+            estimates = [_track_of(found[m]) for m in kept]
+            some = [parts.tracks[m] for m in kept]
+            evidence[kept, k] += held_out_density(some, estimates, half, model.parameters)
+    evidence[~judged] = 0.0
+    return evidence, judged
 
 
 def with_robust_loss(model: Model) -> Model:

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.special import chdtri
 from scipy.stats import vonmises
 
-from graphtrack.constants.filters import Persistent
+from graphtrack.constants.filters import Persistent, position_variance
 from graphtrack.constants.noise import offset_covariance
 from graphtrack.constants.personal import parameters_of
-from graphtrack.constants.prediction import LEAST, Observed
 from graphtrack.evaluation.metrics import CONFIDENCES, TrackCalibration, calibration_rows
 from graphtrack.geometry.angles import (
     FloatArray,
@@ -25,9 +24,14 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import Solution
+from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.model import Model
+from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track, TrackSet
+
+LEAST = 1e-3
+"""Share of an observation's variance, or concentration, that the other observations leave at least."""
 
 MOST_ROWS = 200_000
 """Rows from which every second, third … track is judged."""
@@ -38,9 +42,10 @@ def observed_calibration(
 ) -> list[dict[str, Any]]:
     """Return how often observations lie in the intervals that all other observations predict for them.
 
-    The estimate without an observation is the smoothed one less its information (as in
-    `graphtrack.constants.prediction.leave_one_out`); its prediction of the observation adds the observation's
-    noise, declared or learned. Positions without a covariance, and rows without an observation, do not count.
+    The estimate without an observation is the smoothed one without its likelihood: its information is
+    subtracted, which is exact for Gaussian densities, and for angles in the natural parameters of von Mises
+    densities (Gelfand, Dey and Chang 1992). Its prediction of the observation adds the observation's noise,
+    declared or learned. Positions without a covariance, and rows without an observation, do not count.
 
     Parameters
     ----------
@@ -70,9 +75,9 @@ def _calibration(
         return {}
     parameters, estimate = _believed(solution, model), _without_offset(estimate, solution, camera)
     assert estimate.covariance is not None
-    given = Observed.of([track], parameters, camera)
-    found = {"position": (_of_positions(given, estimate), 2)}
-    for name, place, angle, kappa in given.angles:
+    found = {"position": (_of_positions(track, position_variance(track, parameters, camera), estimate), 2)}
+    for name, place in (("body", BODY), ("head", HEAD)):
+        angle, kappa = observed_direction(track, name, parameters)
         smoothed = getattr(estimate, name)
         if smoothed is not None and kappa.any():
             outliers = parameters.likelihood.outlier_probability
@@ -109,13 +114,15 @@ def _summary(squares: FloatArray, degrees: int) -> TrackCalibration:
     return TrackCalibration(nees, tuple(inside.mean(axis=0).tolist()), len(squares))
 
 
-def _of_positions(given: Observed, estimate: Track) -> FloatArray:
-    """Return squared errors (m,) of the observed positions over their predicted variances."""
+def _of_positions(track: Track, noise: FloatArray, estimate: Track) -> FloatArray:
+    """Return squared errors (m,) of the observed positions over their predicted variances.
+
+    ``noise``: (n,) variances of the observations on each axis, m²
+    """
     assert estimate.covariance is not None
     variance = np.diagonal(estimate.covariance[:, :2, :2], axis1=1, axis2=2)
-    noise = given.noise[:, None]
-    left = np.maximum(noise - variance, LEAST * noise)
-    squares = (np.square(given.position - estimate.position) / left).sum(axis=1)
+    left = np.maximum(noise[:, None] - variance, LEAST * noise[:, None])
+    squares = (np.square(track.position - estimate.position) / left).sum(axis=1)
     return squares[np.isfinite(squares)]
 
 

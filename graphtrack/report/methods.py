@@ -139,7 +139,7 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
     if isinstance(constants, str) or not constants:
         words = constants or "the defaults"
         if words == "learned":
-            return "The constants of each person are learned from the recording by leave-one-out prediction."
+            return "The constants of each person are learned from the recording by how well they predict it."
         return f"The constants are {words}."
     known = list(constants.values())
 
@@ -154,7 +154,7 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
     people = "1 person" if len(known) == 1 else f"each of {len(known)} people"
     density = median(one.acceleration_density for one in known)
     return (
-        f"The constants of {people} were learned from the recording by leave-one-out prediction: the median "
+        f"The constants of {people} were learned from the recording by how well they predict it: the median "
         f"density of acceleration is {density:.3g} m²/s³, and body and head turn by {turns[0]:.3g} and "
         f"{turns[1]:.3g}° in a second" + (f"; the noise of the observations is {noise}." if noise else ".")
     )

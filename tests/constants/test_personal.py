@@ -12,10 +12,10 @@ from noisy_walkers import walker
 from scipy import stats
 
 import graphtrack as gt
-from graphtrack.constants.filters import OUTLIERS, turning_evidence
+from graphtrack.constants.filters import turning_evidence
 from graphtrack.constants.personal import averaged, solve_learned
 from graphtrack.constants.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
-from graphtrack.constants.prediction import Observed, leave_one_out
+from graphtrack.constants.prediction import HALVES, held_out_density, without_half
 from graphtrack.errors import InputError
 from graphtrack.experiments.harness import evenly, thinned
 from graphtrack.geometry.angles import wrap
@@ -72,33 +72,56 @@ def test_classes_count_as_the_angle_of_their_mean() -> None:
     assert kappa[0] > kappa[1] > 0.0 and np.isnan(angle[2]) and kappa[2] == 0.0
 
 
-@pytest.mark.parametrize("name", ["position", "separate"])
-def test_leave_one_out_is_what_the_other_observations_predict(name: str) -> None:
-    track = walker(4, n=30)
-    model = gt.Model(name)
-    found = leave_one_out(Observed.of([track], model.parameters, None), [gt.smooth(track, model)], 0.0)
+@pytest.mark.parametrize("half", HALVES)
+def test_held_out_angles_are_judged_by_estimates_without_them(half: int) -> None:
+    track, model = walker(4, n=30), gt.Model("joint")
+    head = track.head.copy()
+    head[[3, 4, 11]] = np.nan
+    track = replace(track, head=head)
+    estimate = gt.smooth(without_half(track, half, model.parameters), model)
+    likelihood = replace(model.parameters.likelihood, outlier_probability=0.0)
+    parameters = replace(model.parameters, likelihood=likelihood)
+    found = held_out_density([track], [estimate], half, parameters)
+    grid = np.linspace(-np.pi, np.pi, 2000, endpoint=False)
     expected = 0.0
-    for k in np.flatnonzero(np.isfinite(track.position[:, 0])).tolist():
-        hidden = track.position.copy()
-        hidden[k] = np.nan
-        other = gt.smooth(replace(track, position=hidden), model)
-        assert other.covariance is not None
-        spread = other.covariance[k, :2, :2] + 0.01 * np.eye(2)
-        expected += stats.multivariate_normal(other.position[k], spread).logpdf(track.position[k])
-    expected += np.isfinite(track.position[:, 0]).sum() * np.log(1.0 - OUTLIERS)
-    if name == "position":
-        assert found[0] == pytest.approx(expected, rel=1e-4)
-        return
-    for channel, kappa in (("body", 4.0), ("head", 8.0)):
-        for k in range(len(track)):
-            values = getattr(track, channel).copy()
-            angle, values[k] = values[k], np.nan
-            other = gt.smooth(replace(track, **{channel: values}), model)
-            assert other.covariance is not None
-            variance = other.covariance[k, 4 + (channel == "head"), 4 + (channel == "head")]
-            away = wrap(angle - getattr(other, channel)[k])
-            expected += stats.norm.logpdf(away, scale=np.sqrt(variance + 1.0 / kappa))
-    assert found[0] == pytest.approx(expected, abs=3.0)
+    for place, channel, kappa in ((4, "body", 4.0), (5, "head", 8.0)):
+        values = getattr(track, channel)
+        for k in np.flatnonzero(np.isfinite(values))[half::2].tolist():
+            believed = stats.vonmises(1.0 / estimate.covariance[k, place, place]).pdf
+            density = believed(grid - getattr(estimate, channel)[k]) * stats.vonmises(kappa).pdf(
+                grid - values[k]
+            )
+            expected += np.log(density.mean() * 2.0 * np.pi)
+    assert found[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_halves_share_every_angle_and_class_and_nothing_else_changes() -> None:
+    classes = np.full((20, 8), np.nan)
+    classes[::3, 2] = classes[::3, 3] = 0.5
+    classes[::3] = np.nan_to_num(classes[::3])
+    track = replace(walker(5, n=20), body=None, body_kappa=None, body_likelihood=classes)
+    parts = [without_half(track, half, Parameters()) for half in HALVES]
+    for column in ("head", "body_likelihood"):
+        known = [np.isfinite(getattr(one, column).reshape(20, -1)[:, 0]) for one in (track, *parts)]
+        np.testing.assert_array_equal(known[0], known[1] ^ known[2])
+        assert abs(int(known[1].sum()) - int(known[2].sum())) <= 1
+    np.testing.assert_array_equal(parts[0].position, track.position)
+
+
+def test_somebody_who_faces_where_he_goes_is_coupled_however_noisy_the_angles() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 18.0, 0.1)
+    people = []
+    for k in range(6):
+        course = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.3, 0.3) * t
+        steps = 0.12 * np.column_stack([np.cos(course), np.sin(course)])
+        position = np.cumsum(steps, axis=0)
+        people.append(gt.Track(k, np.arange(len(t)), t, position, body=wrap(course), head=wrap(course)))
+    truth = gt.TrackSet(tuple(people))
+    noisy = gt.add_noise(truth, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng)
+    for one in gt.solve(noisy, "joint", constants="learn", trust="declared"):
+        free = sum(p for name, p in one.constants.coupling.items() if "body follows path" not in name)
+        assert free < 0.1
 
 
 # -- the population ------------------------------------------------------------------------------------------
