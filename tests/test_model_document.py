@@ -117,5 +117,5 @@ def test_native_factors_are_those_that_are_named():
 
 def test_robust_defaults_are_those_that_are_stated():
     social = default_parameters("social").likelihood
-    assert f"$\\varepsilon = {social.outlier_probability:g}$ for angles" in EXPLANATIONS
+    assert f"$\\varepsilon = {social.body_outliers:g}$ for angles" in EXPLANATIONS
     assert {default_parameters(name).likelihood.robust for name in presets} == {"none"}

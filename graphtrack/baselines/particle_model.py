@@ -200,7 +200,7 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
     if angle is not None:
         own = likelihood.kappas(name, kappa, n)
         known = np.isfinite(angle) & (own > 0.0)
-        weights, outliers = np.ones((known.sum(), 1)), likelihood.outlier_probability
+        weights, outliers = np.ones((known.sum(), 1)), likelihood.outliers(name)
         _fill(found, known, weights, angle[known, None], own[known], outliers)
     if classes is not None:
         classes = less_hidden(classes, track.input(HIDDEN[name]), likelihood)
@@ -209,9 +209,9 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
         scores = classes[usable] / classes[usable].sum(axis=1, keepdims=True)
         centres = np.broadcast_to(class_centres(size), scores.shape)
         concentration = np.full(len(scores), class_kappa(size))
-        _fill(found, usable, scores, centres, concentration, likelihood.class_outlier_probability)
+        uniform = likelihood.outliers(name, by_class=True)
+        _fill(found, usable, scores, centres, concentration, uniform)
         if pose == "closest":
-            uniform = likelihood.class_outlier_probability
             found.closest[usable] = True
             with np.errstate(divide="ignore"):
                 found.log_height[usable] = np.log((uniform + (1.0 - uniform) * size * scores) / (2.0 * np.pi))

@@ -116,7 +116,7 @@ def turning_evidence(
     angle, kappa = (np.concatenate(part) for part in zip(*observed, strict=True))
     found = np.zeros((len(tracks), len(diffusions)))
     if kappa.any():
-        outliers = float(parameters.likelihood.outlier_probability)
+        outliers = float(parameters.likelihood.outliers(name))
         state = np.zeros((len(diffusions), 2))
         filter_angles(*_times(tracks), np.nan_to_num(angle), kappa, outliers, diffusions, state, found)
     return found
@@ -385,7 +385,7 @@ class FilterRules(NamedTuple):
     path, body, head, coupling : (q,), (d,), (d,) and (c,) log prior of each
     speed_variance : of the first velocity, m²/s²
     speed_threshold : m/s; correlation_time : s, of the couplings
-    outliers : share of observed angles
+    outliers : (2,) share of the observed angles of body and of head
     """
 
     densities: FloatArray
@@ -398,7 +398,7 @@ class FilterRules(NamedTuple):
     speed_variance: float
     speed_threshold: float
     correlation_time: float
-    outliers: float
+    outliers: FloatArray
 
 
 class Filters(NamedTuple):
@@ -489,7 +489,8 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
         for k in range(d):
             bank[k, 0], bank[k, 1] = diffused(bank[k, 0], bank[k, 1], rules.diffusions[k] * dt)
             if kappa > 0.0:
-                bank[k, 0], bank[k, 1], density = observed_angle(bank[k, 0], bank[k, 1], one, rules.outliers)
+                x, y, density = observed_angle(bank[k, 0], bank[k, 1], one, rules.outliers[n])
+                bank[k, 0], bank[k, 1] = x, y
                 bank[k, 2] += density
         set_posterior(bank, 2, prior, memory[:d])
         found[1 + n] = mean_of(rules.diffusions, memory[:d])
@@ -508,7 +509,7 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
             follows = 1.0 / (1.0 / follows + spread / (speed * speed))
             bx, by = bx + follows * vx / speed, by + follows * vy / speed
         if angles[1] > 0.0:
-            bx, by, density = observed_angle(bx, by, body, rules.outliers)
+            bx, by, density = observed_angle(bx, by, body, rules.outliers[0])
             own[4] += density
         hx, hy = diffused(own[2], own[3], found[2] * dt)
         follows, size = weight * rules.couplings[k, 1], math.sqrt(bx * bx + by * by)
@@ -516,7 +517,7 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
             follows = 1.0 / (1.0 / follows + 1.0 / size)
             hx, hy = hx + follows * bx / size, hy + follows * by / size
         if angles[3] > 0.0:
-            hx, hy, density = observed_angle(hx, hy, head, rules.outliers)
+            hx, hy, density = observed_angle(hx, hy, head, rules.outliers[1])
             own[4] += density
         own[0], own[1], own[2], own[3] = bx, by, hx, hy
     set_posterior(filters.coupled, 4, rules.coupling, shares)
@@ -534,7 +535,7 @@ REHEARSAL = Rehearsal("learned constants", _rehearse, 3.5)
 
 def _rehearse_online() -> None:
     one = np.ones(1)
-    rules = FilterRules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, 0.0)
+    rules = FilterRules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, np.zeros(2))
     observe(Filters.of(rules)[0], rules, np.ones(8), np.zeros(1))
 
 

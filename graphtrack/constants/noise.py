@@ -60,8 +60,11 @@ FEWEST_STRETCHES, FEWEST_OBSERVED = 4, 100
 _ROUNDS = 10
 """Rounds of expectation maximisation for the constants that suit each stretch."""
 
-_OUTLIERS = 0.02
-"""Least share of outliers of observed angles, so that they do not count as noise."""
+OUTLIERS = np.array([0.0, 0.01, 0.03, 0.1, 0.3])
+"""Candidates of the share of outliers among observed angles."""
+
+_PRIOR_OUTLIERS = 0.01
+"""Probability of a share above 0."""
 
 
 def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> list[Track]:
@@ -93,11 +96,13 @@ class NoiseEvidence:
     log_density : (m, s) of the observations of each stretch, for each of `MULTIPLES`
     tracks : (m,) number of each stretch's track
     persistent : errors that persist, if they are more probable than none
+    outliers : the most probable share of outliers among observed angles
     """
 
     log_density: FloatArray
     tracks: tuple[int, ...]
     persistent: Persistent
+    outliers: float
 
     @property
     def most(self) -> float:
@@ -130,16 +135,47 @@ def noise_evidence(
     if name == "position":
         positions = _Positions(some, parameters, camera)
         persistent = positions.persistent()
-        return NoiseEvidence(positions.log_density(persistent), numbers, persistent)
-    outliers = max(parameters.likelihood.outlier_probability, _OUTLIERS)
-    likelihood = replace(parameters.likelihood, outlier_probability=outliers)
-    parameters = replace(parameters, likelihood=likelihood)
-    shares = getattr(Population(), f"{name}_diffusion")
-    densities = [
-        _marginal(turning_evidence(some, name, scaled(parameters, name, one), DIFFUSIONS), shares, DIFFUSIONS)
-        for one in MULTIPLES.tolist()
-    ]
-    return NoiseEvidence(np.stack(densities, axis=1), numbers, Persistent())
+        return NoiseEvidence(positions.log_density(persistent), numbers, persistent, 0.0)
+    angles = _Angles(some, name, parameters)
+    multiple, share = 1.0, OUTLIERS[2]
+    # In turn: a share that is too small makes the noise large, and the other way round.
+    for _ in range(_ROUNDS):
+        before = share
+        density = np.stack([angles(one, share) for one in MULTIPLES.tolist()], axis=1)
+        multiple = MULTIPLES[int(np.argmax(density.sum(axis=0)))].item()
+        share = angles.outliers(multiple)
+        if share == before:
+            break
+    return NoiseEvidence(density, numbers, Persistent(), share)
+
+
+class _Angles:
+    """Log densities of the angles of stretches, for each multiple of the 1-σ and share of outliers."""
+
+    def __init__(self, some: Sequence[Track], name: str, parameters: Parameters) -> None:
+        self._some, self._name, self._parameters = some, name, parameters
+        self._start = getattr(Population(), f"{name}_diffusion")
+        self._found: dict[tuple[float, float], FloatArray] = {}
+
+    def __call__(self, multiple: float, share: float) -> FloatArray:
+        """Return the log density (m,) of each stretch."""
+        if (multiple, share) not in self._found:
+            own = with_outliers(scaled(self._parameters, self._name, multiple), self._name, share)
+            evidence = turning_evidence(self._some, self._name, own, DIFFUSIONS)
+            self._found[multiple, share] = _marginal(evidence, self._start, DIFFUSIONS)
+        return self._found[multiple, share]
+
+    def outliers(self, multiple: float) -> float:
+        """Return the most probable share of `OUTLIERS`."""
+        total = np.array([self(multiple, share).sum() for share in OUTLIERS.tolist()])
+        total[1:] += math.log(_PRIOR_OUTLIERS / (len(OUTLIERS) - 1))
+        return OUTLIERS[int(np.argmax(total))].item()
+
+
+def with_outliers(parameters: Parameters, name: str, share: float) -> Parameters:
+    """Return parameters with a share of outliers among the angles of "body" or "head"."""
+    own: dict[str, Any] = {f"{name}_outliers": share}
+    return replace(parameters, likelihood=replace(parameters.likelihood, **own))
 
 
 class _Positions:
@@ -286,14 +322,22 @@ def _declares(track: Track, name: str, model: Model, camera: GroundCamera | None
 
 
 def with_learned_noise(population: Population, tracks: TrackSet, model: Model) -> Population:
-    """Return a population with the noise of the channels for which none is declared, learned from tracks."""
+    """Return a population with the noise of the channels for which none is declared, learned from tracks.
+
+    And with the shares of outliers among the angles of all channels, of class likelihoods too.
+    """
     changes: dict[str, Any] = {}
-    for name in undeclared(tracks, model):
+    unknown = undeclared(tracks, model)
+    for name in SPREADS:
+        if name not in unknown and name == "position":
+            continue
         found = noise_evidence(tracks.tracks, name, model.parameters, tracks.camera)
         if found is None:
             continue
         if name != "position":
-            changes[f"{name}_noise"] = math.exp(found.peak()[0])
+            changes[f"{name}_outliers"] = found.outliers
+            if name in unknown:
+                changes[f"{name}_noise"] = math.exp(found.peak()[0])
             continue
         if any_in_image(tracks, model.parameters):
             changes["pixel_noise"] = math.exp(found.peak()[0])
@@ -310,7 +354,12 @@ def on_the_ground(parameters: Parameters) -> Parameters:
 
 
 def with_noise(parameters: Parameters, names: Sequence[str], population: Population) -> Parameters:
-    """Return parameters with a population's noise of channels, without the persistent part."""
+    """Return parameters with a population's noise of channels, without the persistent part, and outliers."""
+    for name in ("body", "head"):
+        share = max(
+            getattr(population, f"{name}_outliers"), getattr(parameters.likelihood, f"{name}_outliers")
+        )
+        parameters = with_outliers(parameters, name, share)
     for name in names:
         parameters = with_default_noise(parameters, name, getattr(population, f"{name}_noise"))
     if "position" in names and population.pixel_noise == 0.0:
@@ -356,8 +405,13 @@ def offset_covariance(position: FloatArray, offset: Persistent, camera: GroundCa
 def learned_stds(
     tracks: TrackSet, model: Model, names: Sequence[str], offset: Persistent
 ) -> dict[str, float]:
-    """Return the 1-σ of channels whose noise was learned, for `PersonalConstants`; the model has it."""
-    likelihood, found = model.parameters.likelihood, {}
+    """Return the 1-σ of channels whose noise was learned, and shares of outliers, for `PersonalConstants`.
+
+    The model has them.
+    """
+    likelihood = model.parameters.likelihood
+    shares = {f"{name}_outliers": getattr(likelihood, f"{name}_outliers") for name in ("body", "head")}
+    found = {name: share for name, share in shares.items() if share}
     for name in names:
         if not any(_observed(track, name, model.parameters).any() for track in tracks):
             continue

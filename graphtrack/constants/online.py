@@ -81,7 +81,7 @@ def _rules_of(
         parameters.motion.initial_speed_std**2,
         parameters.coupling.speed_threshold,
         parameters.coupling.correlation_time,
-        parameters.likelihood.outlier_probability,
+        np.array([parameters.likelihood.outliers(name) for name in ("body", "head")]),
     )
 
 

@@ -426,6 +426,8 @@ def parameters_of(constants: PersonalConstants, model: Model) -> dict[str, float
     for name in ("body", "head"):
         if f"{name}_std" in constants.noise:
             found[f"likelihood.{name}_kappa"] = constants.noise[f"{name}_std"] ** -2
+        if f"{name}_outliers" in constants.noise:
+            found[f"likelihood.{name}_outliers"] = constants.noise[f"{name}_outliers"]
     return found
 
 

@@ -64,7 +64,7 @@ class Evidence(NamedTuple):
 _SHARES = Evidence._fields
 _NUMBERS = (
     *("people", "gross_errors", "position_noise", "pixel_noise", "body_noise", "head_noise"),
-    *("along", "across"),
+    *("along", "across", "body_outliers", "head_outliers"),
 )
 
 
@@ -85,6 +85,7 @@ class Population:
     position_noise, pixel_noise, body_noise, head_noise : 1-σ of observations where none is declared,
         multiples of the model's; pixel_noise 0: positions of the image are judged on the ground
     along, across : persistent errors of such positions, as in `Persistent`
+    body_outliers, head_outliers : share of observed angles that are outliers
     """
 
     acceleration_density: tuple[float, ...] = log_normal(DENSITIES, 0.04, 1.4)
@@ -99,6 +100,8 @@ class Population:
     head_noise: float = 1.0
     along: float = 0.0
     across: float = 0.0
+    body_outliers: float = 0.0
+    head_outliers: float = 0.0
 
     def __post_init__(self) -> None:
         sizes = {"acceleration_density": len(DENSITIES), "coupling": len(COUPLINGS)}

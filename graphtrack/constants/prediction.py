@@ -61,5 +61,5 @@ def held_out_density(
             if estimated is not None and some.any():
                 sure = 1.0 / estimate.covariance[some, place, place]
                 density = log_blurred(angle[some] - estimated[some], kappa[some], sure)
-                found[m] += with_outliers(density, parameters.likelihood.outlier_probability).sum()
+                found[m] += with_outliers(density, parameters.likelihood.outliers(name)).sum()
     return found

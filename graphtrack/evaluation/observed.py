@@ -80,7 +80,7 @@ def _calibration(
         angle, kappa = observed_direction(track, name, parameters)
         smoothed = getattr(estimate, name)
         if smoothed is not None and kappa.any():
-            outliers = parameters.likelihood.outlier_probability
+            outliers = parameters.likelihood.outliers(name)
             variance = estimate.covariance[:, place, place]
             found[name] = (_of_angles(angle, kappa, smoothed, variance, outliers), 1)
     return {name: _summary(values, degrees) for name, (values, degrees) in found.items() if len(values)}

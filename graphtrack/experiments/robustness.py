@@ -72,7 +72,8 @@ def robust_model() -> Model:
         parameters.likelihood,
         robust=LOSS,
         robust_threshold=LOSS_THRESHOLD,
-        outlier_probability=ANGLE_OUTLIERS,
+        body_outliers=ANGLE_OUTLIERS,
+        head_outliers=ANGLE_OUTLIERS,
     )
     return Model("joint", replace(parameters, likelihood=likelihood))
 

@@ -161,6 +161,11 @@ class PersonalConstants:
             for name in ("body", "head")
             if f"{name}_std" in own
         ]
+        parts += [
+            f"{100.0 * own[f'{name}_outliers']:.0f} % of the {name} angles are outliers"
+            for name in ("body", "head")
+            if own.get(f"{name}_outliers")
+        ]
         return ", ".join(filter(None, parts))
 
     def described(self) -> str:

@@ -57,7 +57,7 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 preset_parameters: dict[str, Parameters] = {
-    "social": Parameters(likelihood=LikelihoodParameters(outlier_probability=0.05))
+    "social": Parameters(likelihood=LikelihoodParameters(body_outliers=0.05, head_outliers=0.05))
 }
 """Default parameters of the presets whose best values differ from those of `Parameters`."""
 

@@ -129,8 +129,8 @@ class LikelihoodParameters(_Group):
         axis of the body about either end
     position_scale : multiple of the declared 1-σ of positions
     body_scale, head_scale : multiple of the declared 1-σ of angles; κ is divided by its square
-    outlier_probability : outlier share ε of observed angles
-    class_outlier_probability : outlier share ε of class likelihoods
+    body_outliers, head_outliers : outlier share ε of observed angles
+    class_outlier_probability : outlier share ε of class likelihoods; a larger one of angles counts
     hidden_outliers : outlier share of class likelihoods of a body or head that is hidden as a whole (inputs
         ``body_hidden``, ``head_hidden``): 1 − (1 − ε)·(1 − share · hidden)
     """
@@ -146,7 +146,8 @@ class LikelihoodParameters(_Group):
     position_scale: float = _number(1.0, 0.01, 100.0)
     body_scale: float = _number(1.0, 0.01, 100.0)
     head_scale: float = _number(1.0, 0.01, 100.0)
-    outlier_probability: float = _share(0.0, 0.999)
+    body_outliers: float = _share(0.0, 0.999)
+    head_outliers: float = _share(0.0, 0.999)
     class_outlier_probability: float = _share(0.05, 0.999)
     hidden_outliers: float = _share(0.0, 1.0)
 
@@ -156,6 +157,16 @@ class LikelihoodParameters(_Group):
             raise InputError(f"robust = {self.robust!r}", "'none', 'huber' or 'cauchy'")
         if not isinstance(self.image_frame, bool):
             raise InputError(f"image_frame = {self.image_frame!r}", "true or false")
+
+    @property
+    def has_outliers(self) -> bool:
+        """Return whether observed angles may be outliers."""
+        return self.body_outliers > 0.0 or self.head_outliers > 0.0
+
+    def outliers(self, name: str, *, by_class: bool = False) -> float:
+        """Outlier share ε of observed angles, or of class likelihoods, of body or head."""
+        own: float = getattr(self, f"{name}_outliers")
+        return max(own, self.class_outlier_probability) if by_class else own
 
     def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
         """1-σ (n,) in metres of positions; ``given``: the declared values, NaN or None where missing."""

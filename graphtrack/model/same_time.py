@@ -231,7 +231,7 @@ def _orientation(
         kappas = [likelihood.kappas(name, getattr(one, kappa_of), 1).item() for one in angles]
         given = np.array([getattr(one, name) for one in angles])
         angle, kappa, furthest = _resultant(given, np.array(kappas))
-        if likelihood.outlier_probability > 0.0 and furthest > likelihood.robust_threshold:
+        if likelihood.outliers(name) > 0.0 and furthest > likelihood.robust_threshold:
             return None
         declared = kappa * getattr(likelihood, f"{name}_scale") ** 2
         return {name: angle, kappa_of: min(declared, LARGEST_CONCENTRATION)}

@@ -79,9 +79,7 @@ def test_held_out_angles_are_judged_by_estimates_without_them(half: int) -> None
     head[[3, 4, 11]] = np.nan
     track = replace(track, head=head)
     estimate = gt.smooth(without_half(track, half, model.parameters), model)
-    likelihood = replace(model.parameters.likelihood, outlier_probability=0.0)
-    parameters = replace(model.parameters, likelihood=likelihood)
-    found = held_out_density([track], [estimate], half, parameters)
+    found = held_out_density([track], [estimate], half, model.parameters)
     grid = np.linspace(-np.pi, np.pi, 2000, endpoint=False)
     expected = 0.0
     for place, channel, kappa in ((4, "body", 4.0), (5, "head", 8.0)):

@@ -125,7 +125,7 @@ def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> No
 
 
 GAPPED = without(without(walk(25, seed=1, uneven=True), "body", slice(5, 12)), "position", slice(15, 18))
-OUTLIERS = Parameters(likelihood=LikelihoodParameters(robust="huber", outlier_probability=0.1))
+OUTLIERS = Parameters(likelihood=LikelihoodParameters(robust="huber", body_outliers=0.1, head_outliers=0.1))
 
 
 @MOST_TERMS
@@ -208,7 +208,10 @@ SITUATIONS = {
     "gaps": (without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)), Parameters()),
     "head alone": (without(replace(walk(8, seed=2), body=None), "position", slice(1, 8)), Parameters()),
     "sparse": (sparse(30), Parameters()),
-    "outliers": (walk(8, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
+    "outliers": (
+        walk(8, seed=5),
+        Parameters(likelihood=LikelihoodParameters(body_outliers=0.1, head_outliers=0.1)),
+    ),
     "huber": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
     "cauchy": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),
 }

@@ -100,7 +100,9 @@ def test_the_optimum_is_that_of_gtsams_graph(
 def test_covariances_are_the_marginals_of_the_graph(preset: str, robust: str, seen: str) -> None:
     track, camera = walk(3, seed=3, uneven=True, noise=0.15, classes=seen == "classes", track_id=0), None
     parameters = Parameters(
-        likelihood=LikelihoodParameters(robust=robust, outlier_probability=0.1, robust_threshold=1.3)
+        likelihood=LikelihoodParameters(
+            robust=robust, body_outliers=0.1, head_outliers=0.1, robust_threshold=1.3
+        )
     )
     if seen == "pixels":
         camera = lens_camera()

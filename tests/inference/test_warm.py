@@ -30,7 +30,7 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracking import WARMED, track_online, warm_up
 from graphtrack.tracks.track import TrackSet
 
-ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))
+ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", body_outliers=0.1, head_outliers=0.1))
 
 
 @pytest.mark.parametrize("preset", ["joint"])

@@ -148,7 +148,7 @@ def angle_density(name: str) -> DensityOf:
     def density(states: States, track: Track, parameters: Parameters) -> float:
         kappa = getattr(parameters.likelihood, f"{name}_kappa")
         deviation = getattr(states, name) - getattr(track, name)
-        outlier = parameters.likelihood.outlier_probability
+        outlier = parameters.likelihood.outliers(name)
         return float(
             np.sum(np.log(outlier / (2 * PI) + (1 - outlier) * stats.vonmises.pdf(deviation, kappa)))
         )
@@ -203,8 +203,8 @@ def steering(rate: float) -> Parameters:
     return Parameters(MotionParameters(head_rate=rate))
 
 
-SHARP = likelihood(body_kappa=1e4, head_kappa=1e4, outlier_probability=0.05)
-OUTLIERS = likelihood(outlier_probability=0.1)
+SHARP = likelihood(body_kappa=1e4, head_kappa=1e4, body_outliers=0.05, head_outliers=0.05)
+OUTLIERS = likelihood(body_outliers=0.1, head_outliers=0.1)
 NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0)
 STEERED: dict[str, Any] = {"density": steered_density}
 MIXED_8: dict[str, Any] = {"channels": ("body_likelihood",)}

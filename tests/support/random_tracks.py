@@ -41,7 +41,8 @@ def random_parameters(rng: np.random.Generator) -> Parameters:
             position_std=rng.uniform(0.05, 0.3),
             robust=rng.choice(["none", "huber", "cauchy"]).item(),
             robust_threshold=rng.uniform(1.0, 3.0),
-            outlier_probability=rng.choice([0.0, 0.1]),
+            body_outliers=rng.choice([0.0, 0.1]),
+            head_outliers=rng.choice([0.0, 0.1]),
             class_outlier_probability=rng.choice([0.01, 0.05, 0.3]),
         ),
     )

@@ -181,7 +181,7 @@ class ChainWindow:
         self._steps: list[Step] = []
         self._has_prior = False
         # True if an observation can have several modes: then other basins are searched.
-        self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
+        self._ambiguous = model.parameters.likelihood.has_outliers
         self._warm = False
         self._take_slot(_LEAST_FRAMES)
 

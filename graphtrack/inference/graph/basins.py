@@ -63,7 +63,7 @@ class GraphSmoother:
         # A frame is packed once for factors and kernels.
         model.packer = packer_of(self._model)
         self._lag = _LAG if lag == math.inf else lag
-        self._outliers = model.parameters.likelihood.outlier_probability > 0.0
+        self._outliers = model.parameters.likelihood.has_outliers
         self._view: ChainView | None
         self._searches: bool
         self._search_from: float

@@ -167,7 +167,7 @@ def _view(model: Model, steps: Sequence[Step], states: FloatArray) -> ChainView 
     """The kernels' view of a track, unless an engine would have to be compiled for user-defined terms."""
     known = model.compiled
     if has_own_kernels(model):
-        outliers = model.parameters.likelihood.outlier_probability > 0.0
+        outliers = model.parameters.likelihood.has_outliers
         if not outliers and not any(step.is_ambiguous for step in steps):
             return None
         make_solver_ready(known, "gtsam", complete=True)

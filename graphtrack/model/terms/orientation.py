@@ -189,7 +189,7 @@ def _fields(name: Variable) -> tuple[Field, ...]:
 
 def _reads(name: Variable) -> tuple[str, ...]:
     own = f"likelihood.{name}_kappa", f"likelihood.{name}_scale"
-    doubts = "outlier_probability", "class_outlier_probability", "hidden_outliers"
+    doubts = f"{name}_outliers", "class_outlier_probability", "hidden_outliers"
     return (*own, *(f"likelihood.{doubt}" for doubt in doubts))
 
 
@@ -226,7 +226,7 @@ class _PoseLikelihood(Term):
         angle, kappa = getattr(observed, self.name), getattr(observed, f"{self.name}_kappa")
         by_class = getattr(observed, f"{self.name}_likelihood") is not None
         by_axis = self.name == "body" and observed.body_axis is not None
-        if by_class or by_axis or self.parameters.likelihood.outlier_probability > 0.0:
+        if by_class or by_axis or self.parameters.likelihood.outliers(self.name) > 0.0:
             return self.derived_factors(step)
         (kappa,) = self._kappas(kappa, 1).tolist()
         if angle is None or kappa == 0.0:
@@ -252,9 +252,10 @@ class _PoseLikelihood(Term):
             kappa = self._kappas(packed.channel(f"{name}_kappa"), len(observed))
             records[f"{name}_kappa"] = np.where(np.isfinite(observed[:, 0]), kappa, 0.0)
             records[f"observed_{name}_cos"], records[f"observed_{name}_sin"] = observed.T
-            if likelihood.outlier_probability > 0.0:
+            share = likelihood.outliers(name)
+            if share > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
-                odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
+                odds = share / (1.0 - share)
                 uniform = odds * of_alike(special.i0e, kappa)
                 records[f"{name}_uniform"] = np.where(records[f"{name}_kappa"] > 0.0, uniform, 0.0)
         if heights is not None:
@@ -269,7 +270,7 @@ class _PoseLikelihood(Term):
         if classes is None:
             return None
         classes = less_hidden(classes, packed.input(HIDDEN[self.name]), self.parameters.likelihood)
-        uniform = self.parameters.likelihood.class_outlier_probability
+        uniform = self.parameters.likelihood.outliers(self.name, by_class=True)
         total = classes.sum(axis=1, keepdims=True)
         # As multiples of 1/2π. Scores that are all zero are uninformative; an unobserved row stays NaN.
         share = np.divide((1.0 - uniform) * classes, total, out=0.0 * classes, where=total > 0.0)
