@@ -42,6 +42,7 @@ from graphtrack.constants.population import (
 from graphtrack.constants.prediction import HALVES, held_out_density, without_half
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
+from graphtrack.inference.chain.covariance import limit_angles
 from graphtrack.inference.engines import Failure, PersonalConstants, Solution, with_every_row
 from graphtrack.kernels.compilation import processors
 from graphtrack.kernels.layout import BODY, HEAD, N
@@ -434,7 +435,8 @@ def parameters_of(constants: PersonalConstants, model: Model) -> dict[str, float
 def mixture(states: FloatArray, covariance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return means (n, 6) and covariances (n, 6, 6) of mixtures of states (k, n, 6).
 
-    The mean of angles is circular, over the alternatives that determine an angle.
+    The mean of angles is circular, over the alternatives that determine an angle. The variance of one is not
+    above that of the uniform density.
 
     Parameters
     ----------
@@ -450,6 +452,7 @@ def mixture(states: FloatArray, covariance: FloatArray, weights: FloatArray) -> 
     away = states - mean
     away[:, :, BODY:] = wrap(away[:, :, BODY:])
     total = np.tensordot(weights, covariance + away[..., :, None] * away[..., None, :], 1)
+    limit_angles(total)
     return mean, total
 
 

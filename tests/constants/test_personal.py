@@ -13,7 +13,7 @@ from scipy import stats
 
 import graphtrack as gt
 from graphtrack.constants.filters import turning_evidence
-from graphtrack.constants.personal import averaged, solve_learned
+from graphtrack.constants.personal import averaged, mixture, solve_learned
 from graphtrack.constants.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
 from graphtrack.constants.prediction import HALVES, held_out_density, without_half
 from graphtrack.errors import InputError
@@ -120,6 +120,40 @@ def test_somebody_who_faces_where_he_goes_is_coupled_however_noisy_the_angles() 
     for one in gt.solve(noisy, "joint", constants="learn", trust="declared"):
         free = sum(p for name, p in one.constants.coupling.items() if "body follows path" not in name)
         assert free < 0.1
+
+
+@pytest.mark.parametrize("channel", ["body", "head"])
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_classifier_that_is_often_wrong_turns_nobody(channel: str, declared: bool) -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 20.0, 0.1)
+    people, truth = [], []
+    for k in range(8):
+        course = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.3, 0.3) * t
+        position = np.cumsum(0.12 * np.column_stack([np.cos(course), np.sin(course)]), axis=0)
+        observed = {name: course + rng.normal(0.0, 0.25, len(t)) for name in ("body", "head")}
+        wrong = rng.random(len(t)) < 0.3
+        observed[channel] = np.where(wrong, course + np.pi, observed[channel])
+        kappas = {f"{name}_kappa": np.full(len(t), 16.0) for name in observed} if declared else {}
+        angles = {name: wrap(angle) for name, angle in observed.items()}
+        noise = rng.normal(0.0, 0.1, position.shape)
+        people.append(gt.Track(k, np.arange(len(t)), t, position + noise, **angles, **kappas))
+        truth.append(course)
+    found = gt.solve(gt.TrackSet(tuple(people)), "joint", constants="learn", trust="declared")
+    assert found[0].constants.noise[f"{channel}_outliers"] == 0.3
+    other = {"body": "head", "head": "body"}[channel]
+    assert f"{other}_outliers" not in found[0].constants.noise
+    for one, course in zip(found, truth, strict=True):
+        for name in ("body", "head"):
+            assert np.abs(wrap(getattr(one.track, name) - course)).mean() < np.radians(8.0)
+
+
+def test_a_mixture_of_opposite_directions_is_no_more_uncertain_than_any_direction() -> None:
+    states = np.zeros((2, 1, 6))
+    states[1, :, 4:] = np.pi
+    covariance = np.tile(np.eye(6), (2, 1, 1, 1))
+    _, total = mixture(states, covariance, np.full(2, 0.5))
+    assert np.diagonal(total[0])[4:] == pytest.approx(np.pi**2 / 3.0)
 
 
 # -- the population ------------------------------------------------------------------------------------------

@@ -104,7 +104,8 @@ def test_constants_of_people_are_those_of_their_factors() -> None:
     _, constants = learn_constants(tracks)
     models = gt.graph_of(tracks)[0], gt.graph_of(tracks, constants=constants)[0]
     start = gt.graph_of(tracks)[1]
-    assert models[0].size() == models[1].size() and models[0].error(start) != models[1].error(start)
+    # A coupling that somebody does not have is no factor.
+    assert models[0].size() >= models[1].size() and models[0].error(start) != models[1].error(start)
     assert len(gt.tracks_of(start, tracks, constants=constants)) == 3
 
 
