@@ -22,6 +22,11 @@ _LEVELS = ((SHOULDERS, 0.815, 0.03), (HIPS, 0.53, 0.04), (KNEES, 0.285, 0.035), 
 """Pairs of points from above, their height above the ground in heights of a standing person (Drillis &
 Contini 1966), and its 1-σ with that of a pose network."""
 _TOP_DEVIATION = 0.03  # 1-σ of the top of a box, in heights
+_STOUTEST = 0.6
+"""Width over height of a box from which it does not hold a standing person from head to foot: strides and
+raised arms are below it."""
+_SHAPE = 0.41
+"""Width over height of the boxes of standing people (MOT17, whose boxes it defines)."""
 _NEARER_HEAD = -0.15, 0.2
 """Mean and 1-σ of the change of depth from feet to head, in depths of the feet: of cameras 1.5 to 12 m
 away and up to 5 m high."""
@@ -34,7 +39,8 @@ def full_box(
 
     Feet below the image follow from the top of the box and from the points above, in perspective, and from
     those below the border that the network reports. At a border on the left or right the trunk is the middle.
-    None also where the points do not locate the rest.
+    None also where the points do not locate the rest. Without any point, the feet below the image follow from
+    the shape of the box.
 
     Parameters
     ----------
@@ -47,7 +53,12 @@ def full_box(
     right, bottom = left + width, top + height
     inside = ((points[:, :2] >= 0.0) & (points[:, :2] < size)).all(axis=1) & (points[:, 2] >= _SURE)
     near, of_height = _AT_BORDER
-    if bottom >= rows - max(near, of_height * height) and not inside[list(ANKLES)].any():
+    at_bottom = bottom >= rows - max(near, of_height * height)
+    if not (points[:, 2] > 0.0).any():
+        if not (at_bottom and is_stout(box)):
+            return None
+        return float(left), float(top), float(width), float(width / _SHAPE)
+    if at_bottom and not inside[list(ANKLES)].any():
         below = (points[:, 1] >= rows) & (points[:, 2] > 0.0)
         levels = [(1.0, top, _TOP_DEVIATION)] if top > near else []
         for pair, at, deviation in _LEVELS:
@@ -66,6 +77,14 @@ def full_box(
         left, right = middle - half, middle + half
     full = (float(left), float(top), float(right - left), float(bottom - top))
     return None if full == box else full
+
+
+def is_stout(box: tuple[float, float, float, float]) -> bool:
+    """Return whether a box is too wide for a standing person from head to foot.
+
+    Who is cut by the border, sits, or stands behind a desk is in such a box.
+    """
+    return box[2] > _STOUTEST * box[3]
 
 
 def _foot_row(levels: FloatArray) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +31,7 @@ from perception.observation.hidden import (
     cut_shares,
     full_box,
     hidden_shares,
+    is_stout,
 )
 from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
@@ -195,18 +197,31 @@ def observe_frame(
     usable = [_in_picture(item, size) for item in usable]
     areas = [item.box if area is None else area for item, area in zip(usable, full, strict=True)]
     hidden, cut = hidden_shares(areas, size).tolist(), cut_shares(areas, size).tolist()
-    for item in usable:
+    for item, area in zip(usable, areas, strict=True):
         standing = leaning_pose_in(models.view, item.box)
-        people.append((item, crop(*upright_picture(image, item.box, standing)), standing))
+        # A head is looked for at the top of a whole person.
+        shown = item.box if models.of_keypoints is not None else area
+        people.append((item, crop(*upright_picture(image, shown, standing)), standing))
         # Batches limit the memory for crops to a few whole images.
         if sum(picture.size for _, picture, _ in people) > image.size:
             people_observed += _look(image, people, models, light)
             people = []
     people_observed += _look(image, people, models, light)
-    return [
+    found = [
         replace(one, hidden=(of_body, of_head), cut=beyond, full=area)
         for one, (of_body, of_head), beyond, area in zip(people_observed, hidden, cut, full, strict=True)
     ]
+    return found if models.of_keypoints is not None else [without_legs(one) for one in found]
+
+
+def without_legs(item: PersonObservation) -> PersonObservation:
+    """Return the observation without the body's classes where its box does not hold a whole person.
+
+    The classifiers of bodies are trained on people from head to foot.
+    """
+    if item.standing is not None or not is_stout(item.box):
+        return item
+    return replace(item, body=np.full(BODY_CLASSES, -math.log(BODY_CLASSES)))
 
 
 def _in_picture(item: PersonBox, size: tuple[int, int]) -> PersonBox:

@@ -27,7 +27,7 @@ from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.ground.views import Ground
 from perception.images.frames import Clock
-from perception.observation.hidden import CUT
+from perception.observation.hidden import CUT, is_stout
 from perception.observation.pipeline import (
     FrameObservation,
     PersonObservation,
@@ -213,15 +213,21 @@ _CUT_FROM = 0.02  # shares beyond the border that are reported
 
 
 def cut_note(frames: Mapping[int, FrameObservation]) -> list[str]:
-    """Return a sentence on the people whom the border of the image cuts, if there are any."""
-    items = [item for known in frames.values() for item in known.people if item.cut >= _CUT_FROM]
+    """Return sentences on the people whom the border of the image cuts, and who are not shown as a whole."""
+    everybody = [item for known in frames.values() for item in known.people]
+    items, count = [item for item in everybody if item.cut >= _CUT_FROM], len(everybody)
+    stout = sum(is_stout(item.box) for item in everybody)
+    in_part = (
+        f"{stout} of {count} boxes are too wide for a standing person from head to foot (cut, sitting, behind "
+        "a desk): their bodies' directions are unknown, unless keypoints show them"
+    )
+    notes = [in_part] if stout else []
     if not items:
-        return []
-    count = sum(len(known.people) for known in frames.values())
+        return notes
     line = f"{len(items)} of {count} boxes are cut by the border of the image (input_{CUT} of the rows)"
     standing = sum(item.full is not None for item in items)
-    rest = f": in {standing} the feet follow from keypoints, as of people who stand" if standing else ""
-    return [line + rest]
+    rest = f": in {standing} the feet follow from keypoints or the box's shape, as of people who stand"
+    return [line + rest * (standing > 0), *notes]
 
 
 def projection_of(frames: Mapping[int, FrameObservation]) -> Projection:

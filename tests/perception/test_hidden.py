@@ -18,7 +18,7 @@ from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.detection.boxes import PersonBox
 from perception.detection.keypoint_files import write_keypoints
-from perception.observation.hidden import cut_shares, full_box, hidden_shares
+from perception.observation.hidden import cut_shares, full_box, hidden_shares, is_stout
 from perception.pose.keypoints import ANKLES, FACE, HIPS, KNEES, SHOULDERS, as_points
 
 MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
@@ -103,6 +103,33 @@ def test_whole_people_keep_their_box() -> None:
         assert full_box(box, np.zeros((17, 3)), SIZE) is None
         np.testing.assert_array_equal(cut_shares([box], SIZE), 0.0)
     assert cut_shares([], SIZE).shape == (0,)
+
+
+@pytest.mark.parametrize("width", [130.0, 180.0])
+def test_feet_below_the_border_follow_from_a_stout_box(width: float) -> None:
+    tall = width / 0.41
+    box = (200.0, 480.0 - 0.6 * tall, width, 0.6 * tall)
+    full = full_box(box, np.zeros((17, 3)), SIZE)
+    assert full is not None and is_stout(box)
+    np.testing.assert_allclose(full, (200.0, box[1], width, tall))
+    above = (200.0, 100.0, width, 0.6 * tall)  # who sits is as stout, and in the picture
+    assert is_stout(above) and full_box(above, np.zeros((17, 3)), SIZE) is None
+
+
+def test_no_direction_of_a_body_is_taken_from_a_part_of_it(tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(folder / "0.png"), rng.integers(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.uint8))
+    lines = ["1,1,100,100,60,150,1,-1,-1,-1", "1,2,300,300,120,180,1,-1,-1,-1"]
+    (tmp_path / "boxes.txt").write_text("\n".join(lines) + "\n")
+    out = tmp_path / "o.csv"
+    done = run("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", out, "--fps", 10)
+    assert done.returncode == 0 and "1 of 2 boxes are too wide for a standing person" in done.stderr
+    rows = pd.read_csv(out).sort_values("u")
+    body = rows[[f"body_p{k}" for k in range(8)]].to_numpy()
+    assert np.ptp(body[0]) > 0.01 and np.ptp(body[1]) < 1e-6
+    assert rows["v"].iloc[1] == pytest.approx(300.0 + 120.0 / 0.41, abs=2.0)
 
 
 def test_the_middle_of_people_at_the_side_is_that_of_the_trunk() -> None:
