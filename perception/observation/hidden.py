@@ -33,20 +33,25 @@ away and up to 5 m high."""
 
 
 def full_box(
-    box: tuple[float, float, float, float], points: FloatArray, size: tuple[int, int]
+    box: tuple[float, float, float, float],
+    points: FloatArray,
+    size: tuple[int, int],
+    *,
+    by_shape: bool = False,
 ) -> tuple[float, float, float, float] | None:
     """Return the full box of a person whom the border of the image cuts, as one who stands; None: not cut.
 
     Feet below the image follow from the top of the box and from the points above, in perspective, and from
     those below the border that the network reports. At a border on the left or right the trunk is the middle.
-    None also where the points do not locate the rest. Without any point, the feet below the image follow from
-    the shape of the box.
+    None also where the points do not locate the rest.
 
     Parameters
     ----------
     box : left, top, width, height of the visible person, pixels
     points : (17, 3) keypoints, those outside the image too; confidence 0: missing
     size : columns and rows of the image
+    by_shape : whether, without any point, the feet below the image follow from the shape of the box
+        (`are_upright`)
     """
     columns, rows = size
     left, top, width, height = box
@@ -55,7 +60,7 @@ def full_box(
     near, of_height = _AT_BORDER
     at_bottom = bottom >= rows - max(near, of_height * height)
     if not (points[:, 2] > 0.0).any():
-        if not (at_bottom and is_stout(box)):
+        if not (by_shape and at_bottom and is_stout(box)):
             return None
         return float(left), float(top), float(width), float(width / _SHAPE)
     if at_bottom and not inside[list(ANKLES)].any():
@@ -85,6 +90,17 @@ def is_stout(box: tuple[float, float, float, float]) -> bool:
     Who is cut by the border, sits, or stands behind a desk is in such a box.
     """
     return box[2] > _STOUTEST * box[3]
+
+
+def are_upright(boxes: Sequence[tuple[float, float, float, float]]) -> bool:
+    """Return whether the people of a recording are as narrow as standing ones, but at the lower border.
+
+    They are not in a view from above. The lowest box is taken to be at the border.
+    """
+    box = np.asarray(boxes, float).reshape(-1, 4)
+    bottom = box[:, 1] + box[:, 3]
+    elsewhere = box[bottom < bottom.max(initial=0.0) - _AT_BORDER[1] * box[:, 3]]
+    return not len(elsewhere) or bool(np.mean(elsewhere[:, 2] > _STOUTEST * elsewhere[:, 3]) < 0.5)
 
 
 def _foot_row(levels: FloatArray) -> float | None:

@@ -28,6 +28,7 @@ from perception.observation.hidden import (
     HEAD_HEIGHT,
     HEAD_MIDDLE,
     HEAD_WIDTH,
+    are_upright,
     cut_shares,
     full_box,
     hidden_shares,
@@ -147,6 +148,7 @@ class Models:
     of_camera : the camera's own models, in place of these three
     of_keypoints : orientation from keypoints, in place of all other models
     view : a view in which people lean, and are rotated upright first
+    upright : whether people are as narrow as standing ones (`are_upright`); False: not known
     """
 
     head_localiser: HeadLocaliser
@@ -156,6 +158,7 @@ class Models:
     of_camera: CameraModels | None = None
     of_keypoints: KeypointPose | None = None
     view: LeaningView | None = None
+    upright: bool = False
 
     def seeing(self, camera: GroundCamera | None, size: Callable[[], tuple[int, int]]) -> Models:
         """Return the models for a view in which leaning people are rotated upright.
@@ -193,7 +196,7 @@ def observe_frame(
     light = light_of(image) if models.appearance else None
     size = image.shape[1], image.shape[0]
     usable = list(_usable(image, frame, boxes, refuse))
-    full = [full_box(item.box, points_of(item), size) for item in usable]
+    full = [full_box(item.box, points_of(item), size, by_shape=models.upright) for item in usable]
     usable = [_in_picture(item, size) for item in usable]
     areas = [item.box if area is None else area for item, area in zip(usable, full, strict=True)]
     hidden, cut = hidden_shares(areas, size).tolist(), cut_shares(areas, size).tolist()
@@ -211,13 +214,15 @@ def observe_frame(
         replace(one, hidden=(of_body, of_head), cut=beyond, full=area)
         for one, (of_body, of_head), beyond, area in zip(people_observed, hidden, cut, full, strict=True)
     ]
-    return found if models.of_keypoints is not None else [without_legs(one) for one in found]
+    if models.of_keypoints is not None or models.of_camera is not None:
+        return found
+    return [without_legs(one) for one in found]
 
 
 def without_legs(item: PersonObservation) -> PersonObservation:
     """Return the observation without the body's classes where its box does not hold a whole person.
 
-    The classifiers of bodies are trained on people from head to foot.
+    The package's classifiers of bodies are trained on standing people, as they look from in front.
     """
     if item.standing is not None or not is_stout(item.box):
         return item
@@ -312,6 +317,7 @@ def observe(
     missing frames.
     """
     by_frame = boxes_by_frame(boxes)
+    models = replace(models, upright=are_upright([one.box for some in by_frame.values() for one in some]))
     count, came = 0, set(journal)
     for known in journal.values():
         for reason in known.refused:

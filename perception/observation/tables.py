@@ -216,10 +216,10 @@ def cut_note(frames: Mapping[int, FrameObservation]) -> list[str]:
     """Return sentences on the people whom the border of the image cuts, and who are not shown as a whole."""
     everybody = [item for known in frames.values() for item in known.people]
     items, count = [item for item in everybody if item.cut >= _CUT_FROM], len(everybody)
-    stout = sum(is_stout(item.box) for item in everybody)
+    stout = sum(is_stout(item.box) and not np.ptp(item.body) for item in everybody)
     in_part = (
-        f"{stout} of {count} boxes are too wide for a standing person from head to foot (cut, sitting, behind "
-        "a desk): their bodies' directions are unknown, unless keypoints show them"
+        f"{stout} of {count} boxes are too wide for a standing person from head to foot (cut, sitting, seen "
+        "from above): the package's models take no direction of the body from them"
     )
     notes = [in_part] if stout else []
     if not items:
