@@ -139,7 +139,7 @@ def repair_detections(
     for _ in range(ROUNDS):
         search.adopt(search.learned())
         search.settle()
-        search.join_sensors()
+        search.join_doubles()
     root, _ = search.roots()
     return search.found(_renamed(root, given))
 
@@ -199,7 +199,7 @@ class _Search(Moves):
             # Link probabilities are those of the last round.
             self.worthless = WORTHLESS if k == rounds - 1 else 0.0
             self.settle(progress, k * SWEEPS, rounds * SWEEPS)
-            self.join_sensors()
+            self.join_doubles()
         progress(rounds * SWEEPS, rounds * SWEEPS)
 
     def appearance_of(self, identity: NDArray[np.int64]) -> AppearanceEvidence:
@@ -300,9 +300,9 @@ class _Search(Moves):
         self.packed, self.remembers = packed, True
         self.filter_from(0)
 
-    def join_sensors(self) -> None:
-        """Join tracks of one person by several sensors, and settle again."""
-        if self.detections.scans.shape[1] and join_parallel(self.chains, self.packed):
+    def join_doubles(self) -> None:
+        """Join tracks, or their parts, that are of one person, and settle again."""
+        if join_parallel(self.chains, self.packed):
             self.filter_from(0)
             self.settle()
 

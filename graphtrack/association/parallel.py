@@ -1,4 +1,4 @@
-"""Tracks of one person by different sensors, or parts of them, joined as a whole.
+"""Tracks of one person, by one sensor or several, or parts of them, joined as a whole.
 
 Moving one detection after the other from one such track to the other gains nothing until the last: no move of
 a single frame joins them.
