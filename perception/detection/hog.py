@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.compilation import processors
 from perception.detection.boxes import FrameDetections
 from perception.images.pixels import Image, non_maximum_suppression
 
@@ -104,7 +106,8 @@ def foot_boxes(foot: FloatArray, height: FloatArray) -> FloatArray:
     return np.column_stack([foot[:, 0] - width / 2.0, foot[:, 1] - height, width, height])
 
 
-_ROWS = 720
+_ROWS = 720, 1080
+"""Rows to which smaller images are enlarged, and larger ones reduced."""
 _OVERLAP = 0.4  # intersection over union above which the weaker of two boxes is dropped
 _STEP = 1.08  # ratio of neighbouring scales
 _MARGIN = 16  # pixels by which a window may reach beyond the image
@@ -114,7 +117,8 @@ _SLOPE = 2.0  # log odds per unit of the score
 class PeopleDetector:
     """OpenCV's default people detector at all scales; its weights come with the library.
 
-    An image of fewer than 720 rows is enlarged to that, by a factor of 8 at most.
+    An image of fewer than 720 rows is enlarged to that, by a factor of 8 at most; one of more than 1080 is
+    reduced to that: nobody smaller than a tenth of its height is found.
 
     Parameters
     ----------
@@ -128,8 +132,10 @@ class PeopleDetector:
     def detect(self, image: Image) -> FrameDetections:
         """Return people with their probabilities, best first."""
         found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
-        for scale in self._scales(image):
-            feet, values = self._at(image, scale)
+        scales = self._scales(image)
+        with ThreadPoolExecutor(processors()) as pool:
+            at_scales = list(pool.map(lambda scale: self._at(image, scale), scales))
+        for scale, (feet, values) in zip(scales, at_scales, strict=True):
             kept = values > self.threshold
             found.append(feet[kept])
             heights.append(np.full(int(kept.sum()), TALL / scale))
@@ -141,7 +147,8 @@ class PeopleDetector:
     def _scales(self, image: Image) -> list[float]:
         """Return scales of the image, from the largest to the last at which a window fits."""
         rows, columns = image.shape[:2]
-        largest = float(np.clip(_ROWS / rows, 1.0, 8.0))
+        fewest, most = _ROWS
+        largest = min(float(np.clip(fewest / rows, 1.0, 8.0)), most / rows)
         least = max(128 / rows, 64 / columns)
         if largest < least:
             return []

@@ -67,6 +67,18 @@ def test_a_person_is_found_at_any_size(height: int) -> None:
     assert near >= 4
 
 
+def test_a_large_image_is_searched_as_a_smaller_one() -> None:
+    rng = np.random.default_rng(3)
+    image = np.full((1080, 960, 3), 120, np.uint8)
+    for k, picture in enumerate(make_pedestrians(3, rng, OFFLINE).images):
+        person = cv2.resize(picture, (round(400 * picture.shape[1] / picture.shape[0]), 400))
+        image[300:700, 300 * k + 20 : 300 * k + 20 + person.shape[1]] = person
+    large = cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    few, many = (PeopleDetector().detect(one).boxes for one in (image, large))
+    assert len(few) and len(few) == len(many)
+    np.testing.assert_allclose(np.sort(many[:, 1]) / 2.0, np.sort(few[:, 1]), atol=8.0)
+
+
 def test_an_empty_or_tiny_frame_has_no_people() -> None:
     detector = PeopleDetector()
     for shape in ((288, 384, 3), (20, 20, 3)):
