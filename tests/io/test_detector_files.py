@@ -273,5 +273,9 @@ def test_boxes_of_tables_are_scored_in_the_image(tmp_path: Path) -> None:
     found = gt.score(tmp_path / "one.csv", tmp_path / "truth.txt", iou=0.5)
     assert found.together.idf1 == 1.0
     assert not found.notes
-    zero = gt.score(tmp_path / "boxes.csv", tmp_path / "truth.txt", iou=0.9)  # counted from 0
-    assert zero.together.idf1 < 1.0 and "begin at 0 and those of the truth at 1" in zero.notes[0]
+    files = tmp_path / "boxes.csv", tmp_path / "truth.txt"
+    with pytest.warns(gt.InputWarning, match="begin at 0 and those of the truth at 1.*frame_offset=1"):
+        zero = gt.score(*files, iou=0.9)  # counted from 0
+    assert zero.together.idf1 < 1.0 and zero.notes
+    found = gt.score(*files, iou=0.9, frame_offset=1)
+    assert found.together.idf1 == 1.0 and not found.notes
