@@ -150,13 +150,16 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
         math.degrees(math.sqrt(median(getattr(one, f"{name}_diffusion") for one in known)))
         for name in ("body", "head")
     ]
-    noise = known[0].described_noise()
+    noise, assumed = known[0].described_noise(), known[0].described_noise(assumed=True)
+    by_model = f" The noise of the model was used for want of observations: {assumed}." if assumed else ""
     people = "1 person" if len(known) == 1 else f"each of {len(known)} people"
     density = median(one.acceleration_density for one in known)
     return (
         f"The constants of {people} were learned from the recording by how well they predict it: the median "
         f"density of acceleration is {density:.3g} m²/s³, and body and head turn by {turns[0]:.3g} and "
-        f"{turns[1]:.3g}° in a second" + (f"; the noise of the observations is {noise}." if noise else ".")
+        f"{turns[1]:.3g}° in a second"
+        + (f"; the noise of the observations is {noise}." if noise else ".")
+        + by_model
     )
 
 

@@ -177,7 +177,8 @@ def constants_section(
         "in a second, and the likeliest way in which they follow the path.",
         "person",
     )
-    return (Section("Learned constants", (table,)),)
+    noise = (Note(f"{line[0].upper()}{line[1:]}.") for line in next(iter(constants.values())).noise_lines())
+    return (Section("Learned constants", (table, *noise)),)
 
 
 def observed_section(calibration: Records) -> tuple[Section, ...]:
