@@ -52,7 +52,7 @@ from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import never_used
 from graphtrack.model.observation import OwnParameters, differs, on_the_ground, seconds_between
-from graphtrack.model.same_time import APART, SAME_TIME, merged, news
+from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.validation import check_count, is_number
@@ -456,7 +456,8 @@ class OnlineSolver:
                 product = self._with_parts(same, (*known, new), parts)
                 if product is None:
                     # A step of its own, soon after.
-                    return self._take(replace(new, t=_free(times, same.observation.t)), near_by.own)
+                    found = self._take(replace(new, t=_free(times, same.observation.t)), near_by.own)
+                    return replace(found, reason=found.reason or MOVED)
                 template = product
             window = self._smoother.window()
             newest = self._smoother.rework(worked_in(window, template, place, inserted))

@@ -247,7 +247,7 @@ class Estimate:
         used. "duplicate": known time and nothing new, ignored. "too-late": older than the window, ignored.
         "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
         "unconfirmed": in streams, its time is far from the stream's; used once the next row agrees with it.
-    reason : the reason of a failure
+    reason : the reason of a failure, or that an observation contradicts that of its time
     sensor : the sensor of that frame; "" without a name
     """
 

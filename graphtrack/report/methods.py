@@ -150,8 +150,9 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
         math.degrees(math.sqrt(median(getattr(one, f"{name}_diffusion") for one in known)))
         for name in ("body", "head")
     ]
-    noise, assumed = known[0].described_noise(), known[0].described_noise(assumed=True)
-    by_model = f" The noise of the model was used for want of observations: {assumed}." if assumed else ""
+    learned, assumed = known[0].described_noise(), known[0].described_noise(assumed=True)
+    noise = f"; the noise of the observations is {learned}." if learned else "."
+    noise += f" The noise of the model was used for want of observations: {assumed}." if assumed else ""
     people = "1 person" if len(known) == 1 else f"each of {len(known)} people"
     density = median(one.acceleration_density for one in known)
     return (

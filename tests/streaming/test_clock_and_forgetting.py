@@ -19,6 +19,7 @@ from graphtrack.io.formats.ndjson import NOT_USED
 from graphtrack.streaming import answers as of_streams
 from graphtrack.streaming.answers import StreamBounds, TrackAnswers
 from graphtrack.streaming.behaviour import Asked
+from graphtrack.streaming.session import Answers
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 
@@ -273,3 +274,27 @@ def test_answers_to_unconfirmed_rows_are_no_rows_of_a_table(identified: bool, cw
     one, other = (gt.read(f"{name}.ndjson") for name in ("usual", "strange"))
     assert one.to_table().equals(other.to_table())
     assert other.summary.refused.get(NOT_USED, 0) == int(identified)
+
+
+@pytest.mark.parametrize("sensor", ["", "gate"])
+def test_a_second_row_that_contradicts_the_first_has_one_note(sensor: str) -> None:
+    """A third observation that agrees has no reason; in Python there is one warning."""
+    rows = [{"track_id": 1, "t": k / 10, "x": k / 10, "y": 0.0, "pos_std": 0.02} for k in range(20)]
+    rows = [{**row, "sensor": sensor} for row in rows] if sensor else rows
+    near = {**rows[15], "x": rows[15]["x"] + 0.01} | ({"sensor": "other"} if sensor else {})
+    far = [{**near, "x": near["x"] + 5.0 + n, "t": rows[k]["t"]} for n, k in enumerate((10, 12))]
+    mixed = [*rows[:11], far[0], *rows[11:13], far[1], *rows[13:16], near, *rows[16:]]
+    notes: list[str] = []
+    answers = flat(each(Answers(gt.Model("joint")).people(notes.append), mixed))
+    moved = [k for k, row in enumerate(answers) if "reason" in row]
+    assert moved == [11, 14] and all("1 ms later" in answers[k]["reason"] for k in moved)
+    assert len(notes) == 1 and "1 ms later" in notes[0] and answers[18]["status"] == "late"
+    smoother = gt.OnlineSmoother()
+    with pytest.warns(gt.InputWarning, match="1 ms later") as warned:
+        for row in mixed:
+            place = row["x"], row["y"]
+            of_row = gt.Observation(row["t"], position=place, position_std=0.02, sensor=row.get("sensor", ""))
+            estimate = smoother.update(of_row)
+            assert bool(estimate.reason) == (row in far)
+            assert smoother.last is not None and not smoother.last.reason
+    assert len(warned) == 1
