@@ -481,6 +481,13 @@ class OnlineSmoother:
         known = [one for one in found if one is not None]
         return self._combined(known) if len(known) == len(found) else None
 
+    def reset(self) -> None:
+        """Begin again without the observations so far, as where a clock was set back; options are kept."""
+        prior = None if self.learner is None else self.learner.prior
+        vars(self).update(vars(OnlineSmoother(**self._given)))
+        if self.learner is not None and prior is not None:
+            self.learner.prior = prior
+
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""
         return self.later_state()()

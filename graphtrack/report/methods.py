@@ -158,9 +158,7 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
     return (
         f"The constants of {people} were learned from the recording by how well they predict it: the median "
         f"density of acceleration is {density:.3g} m²/s³, and body and head turn by {turns[0]:.3g} and "
-        f"{turns[1]:.3g}° in a second"
-        + (f"; the noise of the observations is {noise}." if noise else ".")
-        + by_model
+        f"{turns[1]:.3g}° in a second{noise}"
     )
 
 

@@ -1,6 +1,7 @@
 """Clocks that jump, and what streams keep while people, streams and time come and go."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -298,3 +299,39 @@ def test_a_second_row_that_contradicts_the_first_has_one_note(sensor: str) -> No
             assert bool(estimate.reason) == (row in far)
             assert smoother.last is not None and not smoother.last.reason
     assert len(warned) == 1
+
+
+@pytest.mark.parametrize("model", ["position", "joint", "social"])
+def test_a_reset_begins_as_a_new_one_does(model: str) -> None:
+    """To the last bit, at an earlier time, with the options; people get track ids that were not used."""
+    rng = np.random.default_rng(7)
+    place = np.cumsum(rng.normal(0.1, 0.02, (15, 2)), axis=0)
+    observed = [gt.Observation(0.1 * k, position=tuple(one), head=0.2) for k, one in enumerate(place)]
+
+    def states(smoother: gt.OnlineSmoother) -> list[str]:
+        found = map(smoother.update, observed)
+        return [str([one.status, *one.position, *one.covariance.ravel()]) for one in found]
+
+    constants = None if model == "joint" else "default"
+    smoother = gt.OnlineSmoother(model, lag=1.0, constants=constants)
+    first = states(smoother)
+    assert smoother.update(replace(observed[0], t=-9.0)).status == "too-late"
+    smoother.reset()
+    assert smoother.last is None and smoother.lag == 1.0
+    assert states(smoother) == first
+
+    def people(tracker: gt.OnlineTracker) -> list[Any]:
+        found = [tracker.update(0.1 * k, [one, np.add(one, (4.0, 1.0))]) for k, one in enumerate(place)]
+        return [[(one.track_id, *one.position, one.detection) for one in some] for some in found]
+
+    options: dict[str, Any] = {"scene": {"clutter_density": 1e-4}, "lag": 1.0, "constants": constants}
+    tracker = gt.OnlineTracker(model, **options)
+    before = people(tracker)
+    used = {one[0] for some in before for one in some}
+    with pytest.raises(gt.InputError, match="a time in seconds"):
+        tracker.update(0.0, [])
+    tracker.reset()
+    again = people(tracker)
+    shift = min(one[0] for some in again for one in some) - min(used)
+    assert shift > max(used) - min(used)
+    assert [[(one[0] - shift, *one[1:]) for one in some] for some in again] == before
