@@ -664,7 +664,8 @@ def rows_of_cells(
     if not strict:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
-    ignored = [name for name in unknown([*cells.columns, *named]) if name not in used and name != IDENTITY]
+    further = set(cells.columns) - used - {IDENTITY}
+    ignored = [name for name in unknown([*cells.columns, *named]) if name in further]
     unnamed = [name for name in COMMON_NAMES if name in cells.columns and name not in used]
     if unnamed:
         notes.append(f"columns {listed(unnamed)} were not read: --columns does not name them")

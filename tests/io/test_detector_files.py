@@ -76,6 +76,9 @@ def test_named_columns(form: dict[str, str], ending: str, tmp_path: Path) -> Non
     tracks = gt.read(table if ending == "memory" else path, fps=10, metres_per_pixel=SCALE)
     check(tracks)
     assert tracks.summary.refused == {"of class car": FRAMES}
+    assert not [note for note in tracks.summary.notes if "ignored" in note]
+    further = gt.read(table.assign(tracker="bytetrack"), fps=10, metres_per_pixel=SCALE)
+    assert "ignored columns tracker" in further.summary.notes
 
 
 def test_named_by_the_user_without_ids_and_without_camera(tmp_path: Path) -> None:
