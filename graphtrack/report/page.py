@@ -106,7 +106,7 @@ def tracking_report(
     """
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
-        subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
+        subtitle = f"{subtitle} Times count from {origin}.".strip()
     behaviour = None if behaviour is None else behaviour.in_times_of(estimates)
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
@@ -286,16 +286,26 @@ def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
     )
 
 
-def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, float]:
-    """Shift clock times such as seconds since 1970 to count from the first whole second."""
+def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, str]:
+    """Shift clock times to count from the first whole second, and return that: a date, or seconds.
+
+    Times of dates, of bags and since 1970 are read as seconds of their first day.
+    """
     origin = float(np.floor(min((track.t[0] for track in estimates), default=0.0)))
-    if origin < CLOCK_TIMES:
-        return estimates, observations, 0.0
+    read = estimates.as_read or (None if observations is None else observations.as_read)
+    scale = None if read is None else read.time
+    if scale is not None and scale.origin:
+        zone = " UTC" if scale.kind == "number" or scale.zone else ""
+        since = str(np.datetime64(scale.origin // 10**9 + int(origin), "s")).replace("T", " ") + zone
+    elif origin >= CLOCK_TIMES:
+        since = f"{origin:.0f} s"
+    else:
+        return estimates, observations, ""
 
     def shift(track: Track) -> Track:
         return replace(track, t=track.t - origin)
 
-    return estimates.map(shift), None if observations is None else observations.map(shift), origin
+    return estimates.map(shift), None if observations is None else observations.map(shift), since
 
 
 _CURVES = "Speed and orientation"
