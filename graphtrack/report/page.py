@@ -28,6 +28,7 @@ from graphtrack.report.lives import (
     life_of,
     pair_tracks,
 )
+from graphtrack.report.methods import BEHAVIOUR, with_behaviour
 from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import KNOWN_HEADING, replay_data
@@ -132,6 +133,8 @@ def tracking_report(
 
         parts += behaviour_sections(behaviour, estimates, pairs)
         extra = behaviour_cards(behaviour)
+        if computed := [name for name in BEHAVIOUR if getattr(behaviour, name) is not None]:
+            sections = with_behaviour(sections, computed)
     parts += [
         _angles_section(pairs),
         Section("People", (people_table(pairs, errors), *motion_table(pairs))),
