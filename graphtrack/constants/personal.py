@@ -397,14 +397,14 @@ def _constants(
     alternatives: Sequence[CouplingAlternative],
     weights: FloatArray,
 ) -> list[PersonalConstants]:
-    """Return the constants of each person."""
+    """Return the constants of each person, without noise."""
     names = [one.name for one in alternatives]
+    values = {name.partition(".")[2]: values for name, values in motion.items()}
+    diffusions = (values[f"{name}_diffusion"] for name in ("body", "head"))
+    own = zip(values["acceleration_density"], *diffusions, weights.tolist(), strict=True)
     return [
-        PersonalConstants(
-            **{name.partition(".")[2]: float(values[m]) for name, values in motion.items()},
-            coupling=dict(zip(names, own, strict=True)),
-        )
-        for m, own in enumerate(weights.tolist())
+        PersonalConstants(float(q), float(body), float(head), dict(zip(names, shares, strict=True)))
+        for q, body, head, shares in own
     ]
 
 

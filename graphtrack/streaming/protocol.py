@@ -367,6 +367,8 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
     for name, value in zip(_NUMBERS, values + spread, strict=True):
         row[name] = value if math.isfinite(value) else None
+    speed = math.hypot(*velocity)
+    row["speed"] = speed if math.isfinite(speed) else None
     row["status"] = estimate.status
     if estimate.reason:
         row["reason"] = estimate.reason
