@@ -244,9 +244,9 @@ def with_behaviour(sections: Iterable[Section], computed: Iterable[str]) -> tupl
     ``computed``: keys of `BEHAVIOUR`
     """
     lines = methods_lines(*with_references(" ".join(BEHAVIOUR[name] for name in computed)))
-    others = [one for one in sections if one.title != _TITLE]
+    rest = [one for one in sections if one.title != _TITLE]
     notes = [note for one in sections if one.title == _TITLE for note in one.items]
-    return (*others, Section(_TITLE, (*notes, *map(Note, lines))))
+    return (*rest, Section(_TITLE, (*notes, *map(Note, lines))))
 
 
 def bibtex_entries(works: Iterable[Reference]) -> str:
