@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     from graphtrack.constants.online import OnlineSmoother
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
+    from graphtrack.evaluation.forecasts import judge_forecasts
     from graphtrack.evaluation.identities import SequenceScore, TrackingScore, score
     from graphtrack.evaluation.state_score import StateScore, score_states
     from graphtrack.forecasting.forecaster import Forecast, Forecaster
     from graphtrack.forecasting.motion import ForecastParameters
-    from graphtrack.forecasting.recorded import Forecasts, forecast
+    from graphtrack.forecasting.recorded import Forecasts, forecast, read_forecasts
+    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.geometry.conventions import AngleConvention
     from graphtrack.geometry.poses import PosePath
     from graphtrack.graphs import graph_of, tracks_of
@@ -25,8 +27,11 @@ if TYPE_CHECKING:
     from graphtrack.inference.graph.recording import key_of
     from graphtrack.interaction.attention import GazeTargets, OnlineAttention, attention
     from graphtrack.interaction.crowd import CrowdMeasures, crowd_measures
+    from graphtrack.interaction.group_files import read_groups
     from graphtrack.interaction.groups import Groups, OnlineGroups, groups
     from graphtrack.interaction.parameters import GroupParameters
+    from graphtrack.interaction.scores import score_gaze, score_groups
+    from graphtrack.interaction.tables import read_gaze
     from graphtrack.io.formats.movement import from_movement, to_movement
     from graphtrack.io.formats.pedpy import from_pedpy, to_pedpy
     from graphtrack.io.libraries import to_geopandas
@@ -35,6 +40,7 @@ if TYPE_CHECKING:
     from graphtrack.io.read_write import write
     from graphtrack.io.sensors import SensorScene
     from graphtrack.learning.fit import fit
+    from graphtrack.learning.interaction import fit_attention
     from graphtrack.learning.sensors import learn_sensors
     from graphtrack.model import Cost, Model, Observation, Parameters, Term, chord, presets, term
     from graphtrack.model.observation import observations
@@ -64,6 +70,7 @@ __all__ = [
     "Forecasts",
     "GazeTargets",
     "GraphtrackError",
+    "GroundCamera",
     "GroupParameters",
     "Groups",
     "InputError",
@@ -99,6 +106,7 @@ __all__ = [
     "compare",
     "crowd_measures",
     "fit",
+    "fit_attention",
     "forecast",
     "from_movement",
     "from_pedpy",
@@ -106,12 +114,18 @@ __all__ = [
     "from_ultralytics",
     "graph_of",
     "groups",
+    "judge_forecasts",
     "key_of",
     "learn_sensors",
     "observations",
     "presets",
     "read",
+    "read_forecasts",
+    "read_gaze",
+    "read_groups",
     "score",
+    "score_gaze",
+    "score_groups",
     "score_states",
     "simulate",
     "smooth",
@@ -133,31 +147,37 @@ __all__ = [
 _HOMES = {
     "association.associate": "associate from_supervision from_ultralytics read",
     "association.tracker": "PersonEstimate",
-    "errors": "GraphtrackError InputError InputWarning SolveError",
     "constants.online": "OnlineSmoother",
+    "errors": "GraphtrackError InputError InputWarning SolveError",
     "evaluation.compare": "Comparison compare",
+    "evaluation.forecasts": "judge_forecasts",
     "evaluation.identities": "SequenceScore TrackingScore score",
     "evaluation.state_score": "StateScore score_states",
     "forecasting.forecaster": "Forecast Forecaster",
     "forecasting.motion": "ForecastParameters",
-    "forecasting.recorded": "Forecasts forecast",
+    "forecasting.recorded": "Forecasts forecast read_forecasts",
+    "geometry.camera": "GroundCamera",
     "geometry.conventions": "AngleConvention",
     "geometry.poses": "PosePath",
     "graphs": "graph_of tracks_of",
-    "inference.graph.recording": "key_of",
     "inference": "Estimate Failure Solution SolverOptions",
+    "inference.graph.recording": "key_of",
     "interaction.attention": "GazeTargets OnlineAttention attention",
     "interaction.crowd": "CrowdMeasures crowd_measures",
+    "interaction.group_files": "read_groups",
     "interaction.groups": "Groups OnlineGroups groups",
     "interaction.parameters": "GroupParameters",
+    "interaction.scores": "score_gaze score_groups",
+    "interaction.tables": "read_gaze",
+    "io.formats.movement": "from_movement to_movement",
+    "io.formats.pedpy": "from_pedpy to_pedpy",
+    "io.libraries": "to_geopandas",
     "io.options": "ReadOptions",
     "io.outputs": "to_polars to_supervision",
     "io.read_write": "write",
     "io.sensors": "SensorScene",
-    "io.formats.movement": "from_movement to_movement",
-    "io.formats.pedpy": "from_pedpy to_pedpy",
-    "io.libraries": "to_geopandas",
     "learning.fit": "fit",
+    "learning.interaction": "fit_attention",
     "learning.sensors": "learn_sensors",
     "model": "Cost Model Observation Parameters Term chord presets term",
     "model.observation": "observations",

@@ -336,11 +336,25 @@ class OnlineTracker(DetectionTracker):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what it leaves out."""
-        given = {"scene": self._scene, "sensors": dict(self._sensors), **self._options}
-        made = partial(OnlineTracker.from_state, model=self.model, **given)
+        made = partial(OnlineTracker.from_state, **self._given)
         names = ("_frames", "_present", "revised", "newest", "corrects")
         left_out = {name: copy(getattr(self, name)) for name in names}
         return made, (self.state(),), left_out
+
+    @property
+    def _given(self) -> dict[str, Any]:
+        own = {"model": self.model, "scene": self._scene, "sensors": dict(self._sensors)}
+        return own | self._options
+
+    def reset(self) -> None:
+        """Begin again without the frames so far, as where a clock was set back; options are kept.
+
+        New people get track ids that were not used.
+        """
+        first, corrects = self.next_number, self.corrects
+        vars(self).update(vars(OnlineTracker(**self._given)))
+        self.number_from(first)
+        self.corrects = corrects
 
     def update(
         self,

@@ -82,6 +82,38 @@ def test_rows_that_are_left_out_come_back_as_frames_without_observations(missing
     assert filled(tracks).n_frames == 4 and unfilled_gaps(tracks) == 1
 
 
+@given(st.sampled_from([7.0, 12.5, 25.0, 29.97, 30.0]), st.sampled_from([2, 3, 6]), st.integers(0, 2**32 - 1))
+def test_a_frame_has_one_time_for_everybody(rate, digits, seed):
+    rng = np.random.default_rng(seed)
+    frame = np.unique(rng.integers(0, 400, 300))
+    t = 36_000.0 * (seed % 2) + np.round(frame / rate, digits)
+    rows = [np.sort(rng.choice(len(frame), 120, replace=False)) for _ in range(4)]
+    tracks = gt.TrackSet(
+        tuple(gt.Track(k, frame[at], t[at], np.zeros((len(at), 2))) for k, at in enumerate(rows))
+    )
+    for found in (filled(tracks), at_times(*with_resampled(tracks, rate))):
+        assert found.n_frames > tracks.n_frames
+        every = np.concatenate([one.frame for one in found])
+        times = np.concatenate([one.t for one in found])
+        assert len(np.unique(times)) == len(np.unique(every))
+        assert (np.abs(times - np.round(times, 9)) < 1e-15 * np.maximum(times, 1.0)).all()
+    for one, as_read in zip(filled(tracks), tracks, strict=True):
+        np.testing.assert_array_equal(one.t[one.observed == 1], as_read.t)
+        assert (np.diff(one.t) > 0).all()
+
+
+def with_resampled(tracks, hz):
+    return with_times_at(tracks, hz)[0], hz, min(one.t[0] for one in tracks)
+
+
+def test_people_with_times_of_their_own_keep_them():
+    """Frames of one number are at several times: those between are as without the other person."""
+    own = gt.TrackSet((walk()[np.delete(np.arange(60), [5, 6, 30])],))
+    other = walk(track_id=2)
+    both = filled(gt.TrackSet((*own, replace(other, t=other.t + 0.05))))
+    np.testing.assert_array_equal(both.tracks[0].t, filled(own).tracks[0].t)
+
+
 def test_filling_changes_nothing_elsewhere():
     """The model is linear."""
     whole = walk()

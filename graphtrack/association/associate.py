@@ -32,6 +32,7 @@ from graphtrack.tracks.gaps import (
     frames_increase,
     has_several_sensors,
     only_sensor,
+    times_of,
     usual_rate,
     with_rows,
 )
@@ -263,8 +264,7 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest:
     between = [np.arange(a, b, step) for a, b in gaps]
     inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
     frame = np.unique(np.concatenate([track.frame, *inside, *between]))
-    times = np.interp(frame, frames, t)
-    return with_rows(track, frame, times, only_sensor(track, len(frame)))
+    return with_rows(track, frame, times_of(frame, frames, t), only_sensor(track, len(frame)))
 
 
 def associate(

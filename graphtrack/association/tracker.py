@@ -29,7 +29,7 @@ from graphtrack.inference.engines import OnlineEngine
 from graphtrack.inference.state import Estimate, as_track, checked, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import processors
 from graphtrack.model import Model, Observation
-from graphtrack.model.given import never_used
+from graphtrack.model.given import is_idle, never_used
 from graphtrack.model.observation import CHANNELS, observation_at, without_errors
 from graphtrack.model.same_time import SAME_TIME
 from graphtrack.model.terms.conversation import Group, with_group_at
@@ -275,7 +275,7 @@ class DetectionTracker(Saved):
 
     def _note_unused(self, detections: Sequence[Observation]) -> None:
         for name in self.unused:
-            if any(getattr(one, name) is not None for one in detections):
+            if any(is_idle(name, one) for one in detections):
                 self.unused = tuple(one for one in self.unused if one != name)
                 warnings.warn(
                     f"not used by the model {self.model.preset!r}: {name}", InputWarning, stacklevel=3
@@ -401,7 +401,7 @@ class DetectionTracker(Saved):
         if same == len(person.keys) or person.estimate is None:
             again = new if same == len(person.keys) else [self._observation_of(person, key) for key in keys]
             for one in again:
-                person.estimate = person.smoother.update(one)
+                (person.estimate,) = OnlineSmoother.update_together([person.smoother], [one])
         person.keys = keys
 
     def _is_of_one_time(self, first: Key, second: Key) -> bool:

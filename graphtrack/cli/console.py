@@ -170,6 +170,22 @@ def printed_log() -> Iterator[None]:
 
 
 @contextmanager
+def printed_warnings() -> Iterator[None]:
+    """Print warnings about the input as notes, without a place in the source."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def printed(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+            if issubclass(category, InputWarning):
+                emit(f"  note: {message}")
+            else:
+                show(message, category, *rest)
+
+        warnings.showwarning = printed  # type: ignore[assignment]
+        yield
+
+
+@contextmanager
 def quiet_input_warnings() -> Iterator[None]:
     """Ignore readers' warnings: the command line prints the same text from the summary's notes."""
     with warnings.catch_warnings():
@@ -330,7 +346,7 @@ def run_app(program: typer.Typer, name: str) -> None:
     # Importing and compiling create few garbage objects: collecting took a tenth of a short command.
     gc.set_threshold(100_000, 20, 50)
     try:
-        with printed_log():
+        with printed_log(), printed_warnings():
             code = program(prog_name=name, standalone_mode=False)
         raise SystemExit(code or 0)
     except UsageError as error:

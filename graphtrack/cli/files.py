@@ -76,8 +76,8 @@ def _add_constants(rows: Sequence[dict[str, Any]], tracks: TrackSet) -> None:
 
     with console.status("learning"):
         _, people = learn_constants(tracks)
-    if noise := next((one.described_noise() for one in people.values()), ""):
-        emit(f"  noise, learned: {noise}")
+    for line in next((one.noise_lines() for one in people.values()), ()):
+        emit(f"  {line}")
     for row, track in zip(rows, tracks, strict=False):
         own = people.get(track.track_id)
         row["constants"] = "" if own is None else own.described()

@@ -168,6 +168,8 @@ def cite(
     model: options.BestModelName = None,
     engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam|isam2|fixed-lag>")] = "auto",
     constants: options.Constants = None,
+    groups: Annotated[bool, typer.Option("--groups")] = False,
+    attention: Annotated[bool, typer.Option("--attention")] = False,
     bibtex: bool = False,
 ) -> None:
     """Print a methods paragraph and its references, for a paper.
@@ -179,12 +181,14 @@ def cite(
     ----------
     inputs : Tracks or detections, to say what was read of them.
     engine : Of the run; isam2 and fixed-lag are those of track.
-    bibtex : Print the BibTeX entry of this version too.
+    groups : Say how groups were found.
+    attention : Say how gaze targets were estimated.
+    bibtex : Print the BibTeX entries of this version and of the references too.
     """
     from graphtrack.constants.personal import is_learned, known_constants
     from graphtrack.inference.engines import engine_of, online_engine
     from graphtrack.model import Model
-    from graphtrack.report.methods import methods_lines, methods_text, software_bibtex
+    from graphtrack.report.methods import bibtex_entries, methods_lines, methods_text
 
     chosen = Model.named(model)
     is_online = engine in ("isam2", "fixed-lag")
@@ -194,9 +198,11 @@ def cite(
         "learned" if is_learned(known, chosen) else "the defaults" if constants != "default" else "default"
     )
     summary = reading.tracks(inputs).summary if inputs else None
-    text, *works = methods_lines(*methods_text(chosen, solver, constants=words, summary=summary))
+    computed = [name for name, asked in (("groups", groups), ("attention", attention)) if asked]
+    text, works = methods_text(chosen, solver, constants=words, summary=summary, behaviour=computed)
+    text, *lines = methods_lines(text, works)
     typer.echo(text)
-    for work in works:
-        typer.echo(f"  {work}")
+    for line in lines:
+        typer.echo(f"  {line}")
     if bibtex:
-        typer.echo(software_bibtex())
+        typer.echo(bibtex_entries(works))

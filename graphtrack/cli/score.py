@@ -118,6 +118,7 @@ def score(
     truth: list[Path],
     metres: float | None = None,
     iou: float | None = None,
+    frame_offset: Annotated[int, typer.Option(metavar="N")] = 0,
     json_path: options.Json = None,
     report: Path | None = None,
 ) -> None:
@@ -134,6 +135,8 @@ def score(
     truth : File with the true tracks, or a folder of files named like the estimates; repeat for more files.
     metres : Largest distance of a match on the ground; 1 by default.
     iou : Match boxes in the image instead, from this intersection over union (such as 0.5).
+    frame_offset : Added to the frame numbers of the estimates, such as 1 where they begin at 0 and those of
+        the truth at 1; times that count frames move with them.
     report : Write an HTML report too: figures, replay, and a timeline with every switch; of one sequence, on
         the ground.
     """
@@ -143,6 +146,7 @@ def score(
     from graphtrack.io.read_write import paired_files
 
     unused: dict[str, object] = {"--metres": metres, "--iou": iou, "--report": report}
+    unused |= {"--frame-offset": frame_offset or None}
     if any(is_group_table(path) for path in inputs):
         options.refuse(unused, "with groups", "a table of groups and the true ones alone")
         score_tables(inputs, truth, json_path)
@@ -162,7 +166,7 @@ def score(
         raise InputError(f"--report of {len(pairs)} sequences", "one sequence: a file and its truth")
     read: list[tuple[TrackSet, TrackSet]] = []
     errors: list[Compared] = []
-    found = judge(_read(pairs, reading, threshold, read, errors), threshold)
+    found = judge(_read(pairs, reading, threshold, read, errors, frame_offset), threshold)
     print_score(found)
     states = None if threshold.measure == "iou" else summary(errors, threshold)
     if states is not None:
@@ -178,22 +182,30 @@ def _read(
     threshold: Threshold,
     kept: list[tuple[TrackSet, TrackSet]],
     errors: list[Compared],
+    offset: int,
 ) -> Iterator[Pair]:
     """Read and compare each pair of files, with the errors of matched people.
 
     The tracks are kept if there is one pair.
     """
-    from graphtrack.evaluation.matching import at_shared_times, boxes, estimated_detections, true_detections
+    from graphtrack.evaluation.matching import (
+        at_shared_times,
+        boxes,
+        estimated_detections,
+        renumbered,
+        true_detections,
+    )
     from graphtrack.evaluation.state_score import state_errors
 
     if threshold.measure == "iou" and reading.select:
         raise InputError("--select and --iou", "one of them: boxes are compared as the files have them")
     for name, (estimates, truth) in pairs.items():
         if threshold.measure == "iou":
-            yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
+            yield name, boxes(_boxes(estimates, reading)).renumbered(offset), boxes(_boxes(truth, reading))
         else:
             found = reading.tracks([estimates])
             true = reading.tracks([truth], reference=found)
+            found = renumbered(found, true, offset)
             if len(pairs) == 1:
                 kept.append((found, true))
             errors.append(state_errors(found, true, threshold))

@@ -250,8 +250,8 @@ def smooth(
         f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
         f"{len(good) - len(unconverged)} converged"
     )
-    if noise := next((one.constants.described_noise() for one in good if one.constants is not None), ""):
-        emit(f"  noise, learned: {noise}")
+    for line in next((one.constants.noise_lines() for one in good if one.constants is not None), ()):
+        emit(f"  {line}")
     for result in good[: options.SHOWN_CONSTANTS]:
         if result.constants is not None:
             emit(f"  {tracks.person(result.track.track_id)}: {result.constants.described()}")

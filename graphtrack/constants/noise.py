@@ -423,3 +423,9 @@ def learned_stds(
         if offset.is_any:
             found |= {"offset_along": offset.along, "offset_across": offset.across}
     return found
+
+
+def is_assumed(name: str, population: Population) -> bool:
+    """Return whether a noise of `learned_stds` is the model's, as of a population that learned none."""
+    multiple = f"{name.removesuffix('_std')}_noise"
+    return hasattr(population, multiple) and getattr(population, multiple) == getattr(Population, multiple)

@@ -9,6 +9,7 @@ probable one is solved.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -35,7 +36,7 @@ from graphtrack.constants.population import (
     Evidence,
     Population,
 )
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.walkable import AreaLike
@@ -47,7 +48,7 @@ from graphtrack.model import Model, Observation
 from graphtrack.model.given import angle_of_classes
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.same_time import APART, SAME_TIME, merged, news
+from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
 from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
@@ -275,6 +276,7 @@ class OnlineSmoother:
         self._solvers = {k: OnlineSolver(chosen, **self._options) if n else first for n, k in enumerate(some)}
         self._last: Estimate | None = None
         self._newest: Newest | None = None
+        self._warned = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle by `state`, with what `from_state` says of engines."""
@@ -336,6 +338,9 @@ class OnlineSmoother:
         """
         self._best.note_unused(observation)
         (estimate,) = self.update_together([self], [self.usable(observation)])
+        if estimate.reason == MOVED and not self._warned:
+            self._warned = True
+            warnings.warn(f"t = {observation.t:g}: the observation {MOVED}", InputWarning, stacklevel=2)
         return estimate
 
     @staticmethod
@@ -350,9 +355,11 @@ class OnlineSmoother:
         own: list[OwnParameters | None] = []
         learned: list[bool] = []
         again: list[bool] = []
-        for smoother, observation in zip(smoothers, observations, strict=True):
-            observation, is_again = smoother._with_those_of_its_time(observation)
+        moved: list[bool] = []
+        for smoother, given_one in zip(smoothers, observations, strict=True):
+            observation, is_again = smoother._with_those_of_its_time(given_one)
             again.append(is_again)
+            moved.append(not is_again and observation.t != given_one.t)
             learned.append(smoother._learn(observation))
             for k, solver in smoother._solvers.items():
                 solvers.append(solver)
@@ -360,13 +367,16 @@ class OnlineSmoother:
                 own.append(None if smoother.learner is None else smoother.learner.own(k))
         found = iter(OnlineSolver.update_together(solvers, given, threads, own))
         answers: list[Estimate] = []
-        for smoother, is_new, is_again in zip(smoothers, learned, again, strict=True):
+        for smoother, is_new, is_again, is_moved in zip(smoothers, learned, again, moved, strict=True):
             estimates = [next(found) for _ in smoother._solvers]
+            is_moved |= any(one.reason == MOVED for one in estimates)
+            estimates = [replace(one, reason="") if one.reason == MOVED else one for one in estimates]
             if smoother.learner is not None and is_new and all(one.status == "failed" for one in estimates):
                 smoother.learner.forget()
             if is_again:
                 estimates = smoother._repeated(estimates)
-            answers.append(smoother._combined(estimates))
+            answer = smoother._combined(estimates)
+            answers.append(replace(answer, reason=answer.reason or MOVED) if is_moved else answer)
         return answers
 
     def _with_those_of_its_time(self, observation: Observation) -> tuple[Observation, bool]:
@@ -470,6 +480,13 @@ class OnlineSmoother:
         found = [one.revise(since, observations) for one in self._solvers.values()]
         known = [one for one in found if one is not None]
         return self._combined(known) if len(known) == len(found) else None
+
+    def reset(self) -> None:
+        """Begin again without the observations so far, as where a clock was set back; options are kept."""
+        prior = None if self.learner is None else self.learner.prior
+        vars(self).update(vars(OnlineSmoother(**self._given)))
+        if self.learner is not None and prior is not None:
+            self.learner.prior = prior
 
     def state(self) -> dict[str, Any]:
         """The complete state as JSON-able data, to continue elsewhere; see `from_state`."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from graphtrack.constants.filters import Persistent, motion_evidence, turning_evidence
 from graphtrack.constants.noise import (
+    is_assumed,
     learned_stds,
     offset_of,
     persistent_of,
@@ -162,6 +163,7 @@ def solve_learned(
     motion, shares = _motion(learned_from, model, start, persistent, population is not None)
     offset = offset_of(learned_from, model, persistent)
     noise = learned_stds(learned_from, model, names, offset)
+    assumed = tuple(name for name in noise if is_assumed(name, start))
     if shares.gross_errors > SHOWN:
         model = with_robust_loss(model)
     alternatives = alternatives_of(model)
@@ -172,7 +174,9 @@ def solve_learned(
     else:
         found, weights = solve(tracks, model, motion, progress), np.ones((len(tracks), 1))
     answers: list[Solution | Failure] = []
-    learned_by = _constants(motion, alternatives, weights, noise)
+    learned_by = [
+        replace(one, noise=noise, assumed=assumed) for one in _constants(motion, alternatives, weights)
+    ]
     for one, constants in zip(found, learned_by, strict=True):
         if isinstance(one, Solution):
             estimates = with_offset(one.track, offset, tracks.camera)
@@ -393,17 +397,15 @@ def _constants(
     motion: Mapping[str, FloatArray],
     alternatives: Sequence[CouplingAlternative],
     weights: FloatArray,
-    noise: Mapping[str, float],
 ) -> list[PersonalConstants]:
-    """Return the constants of each person."""
+    """Return the constants of each person, without noise."""
     names = [one.name for one in alternatives]
+    values = {name.partition(".")[2]: values for name, values in motion.items()}
+    diffusions = (values[f"{name}_diffusion"] for name in ("body", "head"))
+    own = zip(values["acceleration_density"], *diffusions, weights.tolist(), strict=True)
     return [
-        PersonalConstants(
-            **{name.partition(".")[2]: float(values[m]) for name, values in motion.items()},
-            coupling=dict(zip(names, own, strict=True)),
-            noise=noise,
-        )
-        for m, own in enumerate(weights.tolist())
+        PersonalConstants(float(q), float(body), float(head), dict(zip(names, shares, strict=True)))
+        for q, body, head, shares in own
     ]
 
 

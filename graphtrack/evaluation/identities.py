@@ -18,8 +18,9 @@ IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial, reduce
 from itertools import pairwise
 from operator import add
@@ -30,7 +31,7 @@ import numpy as np
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.association.matching import match
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.matching import (
     EPSILON,
     IdentifiedRows,
@@ -44,6 +45,7 @@ from graphtrack.evaluation.matching import (
     estimated_detections,
     ground_similarity,
     missing_in_words,
+    renumbered,
     share_frames,
     true_detections,
 )
@@ -644,7 +646,12 @@ Pair = tuple[str, IdentifiedRows, IdentifiedRows]
 
 
 def score(
-    estimates: Given, truth: Given, *, metres: float | None = None, iou: float | None = None
+    estimates: Given,
+    truth: Given,
+    *,
+    metres: float | None = None,
+    iou: float | None = None,
+    frame_offset: int = 0,
 ) -> TrackingScore:
     """Score tracks and identities: HOTA, IDF1, MOTA and their parts.
 
@@ -655,6 +662,13 @@ def score(
         truth is compared by its true positions (``true_x``, ``true_y``) if any, else by its positions.
     metres : largest distance of a match on the ground; 1 m if ``iou`` is not given either
     iou : smallest intersection over union of matching boxes
+    frame_offset : added to the frame numbers of the estimates, such as 1 where they begin at 0 and those of
+        the truth at 1; times that count frames move with them
+
+    Warns
+    -----
+    InputWarning
+        For each of the notes of the result, such as on frame numbers that begin at another number.
 
     Raises
     ------
@@ -668,7 +682,10 @@ def score(
     if files and true_files:
         pairs = [(name, *pair) for name, pair in paired_files(files, true_files).items()]
     detect = _boxes_of if threshold.measure == "iou" else _positions_of
-    return judge((detect(*pair) for pair in pairs), threshold)
+    found = judge((detect(*pair, frame_offset) for pair in pairs), threshold)
+    for note in found.notes:
+        warnings.warn(note, InputWarning, stacklevel=2)
+    return found
 
 
 def threshold_of(metres: float | None = None, iou: float | None = None) -> Threshold:
@@ -727,13 +744,13 @@ def _numbered_apart(
     ends = {int(end(truth.frame) - end(estimates.frame)) for end in (np.min, np.max)}
     now = figures("", counts, threshold).idf1
     for shift in sorted(ends & {-1, 1}):
-        moved = share_frames(truth, replace(estimates, frame=estimates.frame + shift), similarity, "")
+        moved = share_frames(truth, estimates.renumbered(shift), similarity, "")
         if (other := figures("", count(moved, threshold), threshold).idf1) > now + _BETTER:
             first = f"{int(estimates.frame.min())} and those of the truth at {int(truth.frame.min())}"
-            how = "added to" if shift > 0 else "taken from"
             return (
-                f"frames of the estimates begin at {first}: with 1 {how} those of the estimates IDF1 is "
-                f"{other:.3f}, and now {now:.3f}; if they are the same images, number both alike",
+                f"frames of the estimates begin at {first}: with {shift} added to those of the estimates "
+                f"IDF1 is {other:.3f}, and now {now:.3f}; if they are the same images, --frame-offset "
+                f"{shift} (in Python frame_offset={shift})",
             )
     return ()
 
@@ -753,13 +770,17 @@ def _paths(given: Given) -> list[Path] | None:
     return found if found and len(found) == len(several) else None
 
 
-def _positions_of(name: str, estimates: Given, truth: Given) -> Pair:
-    found, true, _ = at_shared_times(tracks_of(estimates), tracks_of(truth))
+def _positions_of(name: str, estimates: Given, truth: Given, offset: int) -> Pair:
+    true = tracks_of(truth)
+    found, true, note = at_shared_times(renumbered(tracks_of(estimates), true, offset), true)
+    if note:
+        warnings.warn(f"{name}: {note}" if name else note, InputWarning, stacklevel=4)
     return name, estimated_detections(found), true_detections(true)
 
 
-def _boxes_of(name: str, estimates: Given, truth: Given) -> Pair:
+def _boxes_of(name: str, estimates: Given, truth: Given, offset: int) -> Pair:
     for given in (estimates, truth):
         if not isinstance(given, str | Path):
             raise InputError(f"a {type(given).__name__}, which has no boxes", "with iou the path of a file")
-    return name, boxes(read_boxes(estimates)), boxes(read_boxes(truth))  # type: ignore[arg-type]
+    found = boxes(read_boxes(estimates))  # type: ignore[arg-type]
+    return name, found.renumbered(offset), boxes(read_boxes(truth))  # type: ignore[arg-type]

@@ -15,6 +15,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.io.cameras import NO_CAMERA
 from graphtrack.packages import spatial
 from graphtrack.tracks.display import counted
+from graphtrack.tracks.gaps import usual_rate
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
@@ -40,6 +41,10 @@ class IdentifiedRows:
 
     def __len__(self) -> int:
         return len(self.track_id)
+
+    def renumbered(self, offset: int) -> IdentifiedRows:
+        """Return the rows with a number added to their frames."""
+        return replace(self, frame=self.frame + offset)
 
 
 def known_detections(track_id: IntArray, frame: IntArray, place: FloatArray) -> IdentifiedRows:
@@ -168,13 +173,35 @@ def _usual_step(tracks: TrackSet) -> float:
 
 def _numbers_agree(estimates: TrackSet, truth: TrackSet, tolerance: float) -> bool:
     """Return whether all frames that both have are at the same times, and whether there are any."""
+    apart = _times_apart(estimates, truth)
+    return bool(len(apart)) and bool((np.abs(apart) <= tolerance).all())
+
+
+def _times_apart(estimates: TrackSet, truth: TrackSet) -> FloatArray:
+    """Return the seconds (k,) by which the truth is later in each frame that both have."""
     times = []
     for side in (estimates, truth):
         frame, first = np.unique(np.concatenate([track.frame for track in side]), return_index=True)
         times.append((frame, np.concatenate([track.t for track in side])[first]))
     (one, t_one), (other, t_other) = times
-    common, here, there = np.intersect1d(one, other, return_indices=True)
-    return bool(len(common)) and bool((np.abs(t_one[here] - t_other[there]) <= tolerance).all())
+    _, here, there = np.intersect1d(one, other, return_indices=True)
+    return np.asarray(t_other[there] - t_one[here])
+
+
+def renumbered(estimates: TrackSet, truth: TrackSet, offset: int) -> TrackSet:
+    """Return estimates with ``offset`` added to the numbers of frames, to be those of the truth.
+
+    Times move with the numbers where that brings them closer to the truth's, as those that count frames.
+    """
+    moved = estimates.map(lambda track: replace(track, frame=track.frame + offset))
+    rate = usual_rate((track.frame, track.t) for track in estimates)
+    if not (offset and rate and len(truth)):
+        return moved
+    apart = _times_apart(moved, truth)
+    seconds = float(np.median(apart)) if len(apart) else 0.0
+    if abs(seconds - offset / rate) >= abs(seconds):
+        return moved
+    return moved.map(lambda track: replace(track, t=track.t + seconds))
 
 
 def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArray:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.identities import hota_matches, identity_pairs, similarity_of, threshold_of
-from graphtrack.evaluation.matching import IdentifiedRows, nearest_times, share_frames
+from graphtrack.evaluation.matching import IdentifiedRows, nearest_times, renumbered, share_frames
 from graphtrack.evaluation.metrics import (
     DEGREES,
     TrackCalibration,
@@ -95,7 +95,9 @@ class Compared:
     omitted: int = 0
 
 
-def score_states(estimates: Given, truth: Given, *, metres: float | None = None) -> StateScore:
+def score_states(
+    estimates: Given, truth: Given, *, metres: float | None = None, frame_offset: int = 0
+) -> StateScore:
     """Compute errors of estimated states against the truth, and the calibration of their uncertainties.
 
     Rows are compared with the person that they match on the ground. If the ``track_id`` of no track
@@ -108,9 +110,11 @@ def score_states(estimates: Given, truth: Given, *, metres: float | None = None)
         used if there are any, else its positions, velocities and angles. Missing velocities are central
         differences of the true positions.
     metres : largest distance of a match; 1 m by default
+    frame_offset : as in `score`
     """
-    threshold = threshold_of(metres)
-    return summary([state_errors(tracks_of(estimates), tracks_of(truth), threshold)], threshold)
+    threshold, true = threshold_of(metres), tracks_of(truth)
+    found = renumbered(tracks_of(estimates), true, frame_offset)
+    return summary([state_errors(found, true, threshold)], threshold)
 
 
 def state_errors(estimates: TrackSet, truth: TrackSet, threshold: Threshold) -> Compared:

@@ -239,11 +239,12 @@ def is_forecast(path: Path) -> bool:
     return set(_TELLING) <= set(_names(Source.open(path)))
 
 
-def read_forecasts(path: Path) -> dict[str, FloatArray]:
+def read_forecasts(path: str | Path) -> dict[str, FloatArray]:
     """Return the columns (rows,) of a table of forecasts.
 
     Raise InputError with the invalid line and column.
     """
+    path = Path(path)
     cells = cells_of_file(path, ReadOptions())
     missing = [name for name in COLUMNS if name != "frame" and name not in cells.columns]
     if missing:

@@ -6,7 +6,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import BoolArray, FloatArray, unit
 
 _LEAST_POWER = 0.2
 """Least exponent of the normalising power of a squared speed: below it, the tails are too wide."""
@@ -62,6 +62,25 @@ def speed_std(velocity: FloatArray, covariance: FloatArray) -> FloatArray:
     """
     low, high = _speed_quantiles(velocity, covariance, 1.0)
     return 0.5 * (high - low)
+
+
+_MOVING = 5.991
+"""Squared Mahalanobis distance from 0 that a velocity of 0 exceeds with 5 %: χ² of two degrees of freedom."""
+
+
+def is_moving(velocity: FloatArray, covariance: FloatArray) -> BoolArray:
+    """Return whether 0 is outside of the 95 % ellipse of a velocity (n,); True where the ellipse is unknown.
+
+    Parameters
+    ----------
+    velocity, covariance : as for `speed_interval`
+    """
+    covariance = without_unknown_correlations(covariance)
+    (a, b), (_, c) = np.moveaxis(covariance, 0, -1)
+    x, y = velocity.T
+    # Without dividing by the determinant, which may be 0.
+    squared = c * x**2 - 2.0 * b * x * y + a * y**2
+    return np.asarray(~(squared <= _MOVING * (a * c - b**2)) | (np.hypot(x, y) > 0.0) & (a + c == 0.0))
 
 
 def heading_half_width(velocity: FloatArray, covariance: FloatArray, probability: float = 0.95) -> FloatArray:

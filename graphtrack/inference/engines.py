@@ -136,6 +136,7 @@ class PersonalConstants:
     noise : 1-σ of observations where none was declared, the same for all people: ``position_std`` in metres
         or ``pixel_std``; ``offset_along`` and ``offset_across`` the camera's ray, of what lasts, in metres;
         ``body_std`` and ``head_std`` in radians
+    assumed : keys of ``noise`` that are the model's, since there are too few observations to learn them
     """
 
     acceleration_density: float
@@ -143,10 +144,11 @@ class PersonalConstants:
     head_diffusion: float
     coupling: Mapping[str, float]
     noise: Mapping[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
-    def described_noise(self) -> str:
-        """Return the learned noise; empty if it was declared."""
-        own = self.noise
+    def described_noise(self, *, assumed: bool = False) -> str:
+        """Return the noise that was learned, or was ``assumed``, in words; empty without any."""
+        own = {name: std for name, std in self.noise.items() if (name in self.assumed) == assumed}
         along, across = own.get("offset_along"), own.get("offset_across")
         parts = [
             f"positions {own['position_std']:.2g} m" if "position_std" in own else "",
@@ -167,6 +169,14 @@ class PersonalConstants:
             if own.get(f"{name}_outliers")
         ]
         return ", ".join(filter(None, parts))
+
+    def noise_lines(self) -> list[str]:
+        """Return a line on the noise that was learned, and one on noise that could not be."""
+        learned, assumed = self.described_noise(), self.described_noise(assumed=True)
+        lines = [f"noise, learned: {learned}"] if learned else []
+        if assumed:
+            lines.append(f"noise, of the model, with too few observations to learn it: {assumed}")
+        return lines
 
     def described(self) -> str:
         """Return the constants in units that a reader knows."""

@@ -50,9 +50,9 @@ from graphtrack.inference.state import (
 )
 from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.given import never_used
+from graphtrack.model.given import is_idle, never_used
 from graphtrack.model.observation import OwnParameters, differs, on_the_ground, seconds_between
-from graphtrack.model.same_time import APART, SAME_TIME, merged, news
+from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
 from graphtrack.tracks.validation import check_count, is_number
@@ -212,7 +212,7 @@ class OnlineSolver:
     def note_unused(self, observation: Observation) -> None:
         """Warn once of each channel that an observation has and the model does not use."""
         for name in self._unused:
-            if getattr(observation, name, None) is not None:
+            if is_idle(name, observation):
                 self._unused = tuple(one for one in self._unused if one != name)
                 warnings.warn(
                     f"not used by the model {self.model.preset!r}: {name}", InputWarning, stacklevel=3
@@ -456,7 +456,8 @@ class OnlineSolver:
                 product = self._with_parts(same, (*known, new), parts)
                 if product is None:
                     # A step of its own, soon after.
-                    return self._take(replace(new, t=_free(times, same.observation.t)), near_by.own)
+                    found = self._take(replace(new, t=_free(times, same.observation.t)), near_by.own)
+                    return replace(found, reason=found.reason or MOVED)
                 template = product
             window = self._smoother.window()
             newest = self._smoother.rework(worked_in(window, template, place, inserted))

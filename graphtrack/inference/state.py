@@ -15,6 +15,7 @@ from graphtrack.constant_velocity import predict_covariance
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.planar import speed_std
 from graphtrack.kernels.layout import BODY, HEAD, STATE_SLICES, N
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, Covariance, OwnParameters
@@ -247,7 +248,7 @@ class Estimate:
         used. "duplicate": known time and nothing new, ignored. "too-late": older than the window, ignored.
         "waiting": no position so far, ignored. "failed": it could not be used; the state is the previous one.
         "unconfirmed": in streams, its time is far from the stream's; used once the next row agrees with it.
-    reason : the reason of a failure
+    reason : the reason of a failure, or that an observation contradicts that of its time
     sensor : the sensor of that frame; "" without a name
     """
 
@@ -269,6 +270,16 @@ class Estimate:
     def _repr_html_(self) -> str:
         caption = f"Estimate at t = {self.t:.6g} s, frame {self.frame}: {self.status}"
         return html_pairs(caption, self._described())
+
+    @property
+    def speed(self) -> float:
+        """The length of the velocity, m/s."""
+        return math.hypot(*self.velocity.tolist())
+
+    @property
+    def speed_std(self) -> float:
+        """Half the width of the interval that contains the speed with 68.3 %, m/s."""
+        return speed_std(self.velocity[None], self.covariance[None, 2:4, 2:4]).item()
 
     def ahead(self, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
         """Return position (2,) and covariance (2, 2) ``dt`` seconds later, at constant velocity.

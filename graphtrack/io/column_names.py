@@ -66,6 +66,7 @@ PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
 _POSSIBLE = {
     "track_id": "track obj individual individualid target trajectory trajid traj uid uuid userid user player "
     "playerid deviceid device tagid tag mac entity entityid who name",
+    "frame": "timestep timestepid timestepindex step stepid tick framecount scan scanid imageid imageindex",
     "t": "ts datetimeutc timeutc utc unixtime epoch unix second elapsed elapsedtime date stamp clock "
     "milliseconds microseconds nanoseconds millis",
     "x": "px coordinatex groundx gx locx locationx centerx centrex easting east",

@@ -16,6 +16,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.format import Format, recognised
 from graphtrack.io.source import Source
 from graphtrack.io.text import in_utf8, other_delimiter
+from graphtrack.tracks.schema import COMMON_NAMES
 from graphtrack.tracks.time import is_iso
 from graphtrack.tracks.validation import parse_number
 
@@ -43,6 +44,8 @@ def hint_for(error: InputError, *, native: bool) -> str:
         return next(
             (f"--time-unit {unit} reads it" for low, high, unit in units if low < abs(value) < high), ""
         )
+    if column in COMMON_NAMES:
+        return which_columns(error.path)
     if column == "track_id" and value is None and found.startswith("'"):
         return "--columns id=track_id reads text"
     return ""

@@ -142,7 +142,7 @@ def _with_rate(found: Suggestion) -> Suggestion:
     if "fps" in found.options:
         return found
     return found.with_option(
-        "fps", "25", "it has no times: 25 frames a second are assumed; give the true rate"
+        "fps", "25", "it counts frames and has no times: --fps is missing, and 25 frames a second are assumed"
     )
 
 

@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.model import Model
-from graphtrack.model.observation import CHANNELS
+from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
@@ -35,9 +35,16 @@ def never_used(model: Model, camera: GroundCamera | None) -> tuple[str, ...]:
     """Return the channels of observations that a smoother with a model uses in no case."""
     if model.own_terms:
         return ()  # they may read everything
-    found = ["score"] + ["pixel"] * (camera is None)
+    found = ["score"] + ["pixel"] * (camera is None)  # of a row without a position
     found += [name for name in CHANNELS if name.startswith("body") and not model.has_body]
     return (*found, *(name for name in CHANNELS if name.startswith("head") and not model.has_head))
+
+
+def is_idle(name: str, observation: Observation) -> bool:
+    """Return whether an observation has a channel of `never_used`; pixels next to a position are its own."""
+    if name == "pixel" and observation.position is not None:
+        return False
+    return getattr(observation, name, None) is not None
 
 
 EVIDENCE = ("score", "body_deg", "head_deg", *(f"{n}_p{k}" for n, c in CLASSES.items() for k in range(c)))
@@ -71,7 +78,8 @@ def _unused(track: Track, model: Model, camera: GroundCamera | None) -> list[str
     found = [*_OF_ESTIMATES]
     if track.identity_p is None:  # else the identities were found with it
         found.append("score")
-    if not pixel.any():
+    alone = _rows(track, "pixel") & ~_rows(track, "position")
+    if not pixel.any() and (camera is not None or alone.any()):  # else the position is that of the pixel
         found.append("pixel")
     if (_rows(track, "position") & pixel).any() or not _rows(track, "position").any():
         found.append("position_std")

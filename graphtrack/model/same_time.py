@@ -37,6 +37,9 @@ this far apart is 2 % of their σ, and of their variance 0.06 %. Both grow with 
 APART = 2.0 * SAME_TIME
 """Seconds from one time to the frame of an observation that has no product with those of that time."""
 
+MOVED = f"contradicts the row of its time, and counts {1000.0 * APART:g} ms later"
+"""Of such an observation."""
+
 _MEASURED = (
     ("position", "position_std", "position_covariance"),
     ("pixel",),

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from graphtrack.tracks.track import ReadSummary
 
 
+YEAR = 2026
+"""Of this version."""
+
+
 @dataclass(frozen=True)
 class Reference:
     """A cited work.
@@ -25,40 +29,82 @@ class Reference:
     Attributes
     ----------
     cited : author and year, as the text cites it
-    work : authors, title and place
+    authors, title, place : as printed; the place may be empty
+    year : 0 for a work that is updated
     """
 
     cited: str
-    work: str
+    authors: tuple[str, ...]
+    title: str
+    year: int
+    place: str = ""
+
+    @property
+    def work(self) -> str:
+        """Authors, title, place and year."""
+        parts = [self.title, *filter(None, [self.place, str(self.year or "")])]
+        return f"{', '.join(self.authors)}: {', '.join(parts)}"
+
+    def bibtex(self, key: str) -> str:
+        """Return the BibTeX entry."""
+        fields = {"author": " and ".join(self.authors), "title": f"{{{self.title}}}", "year": self.year}
+        return _bibtex("misc", key, fields | {"howpublished": self.place})
+
+
+def _bibtex(kind: str, key: str, fields: Mapping[str, object]) -> str:
+    lines = [f"  {name} = {{{value}}}," for name, value in fields.items() if value]
+    return "\n".join([f"@{kind}{{{key},", *lines, "}"])
 
 
 REFERENCES: Mapping[str, Reference] = {
     "baxter": Reference(
         "Baxter et al. 2014",
-        "R. H. Baxter, M. J. V. Leach, S. S. Mukherjee, N. M. Robertson: An adaptive motion model for person "
-        "tracking with instantaneous head-pose features, 2014",
+        ("R. H. Baxter", "M. J. V. Leach", "S. S. Mukherjee", "N. M. Robertson"),
+        "An adaptive motion model for person tracking with instantaneous head-pose features",
+        2014,
     ),
     "chen": Reference(
         "Chen et al. 2011",
-        "C. Chen, A. Heili, J.-M. Odobez: A joint estimation of head and body orientation cues in "
-        "surveillance video, ICCV Workshops, 2011",
+        ("C. Chen", "A. Heili", "J.-M. Odobez"),
+        "A joint estimation of head and body orientation cues in surveillance video",
+        2011,
+        "ICCV Workshops",
     ),
     "bar-shalom": Reference(
         "Bar-Shalom et al. 2001",
-        "Y. Bar-Shalom, X. R. Li, T. Kirubarajan: Estimation with applications to tracking and "
-        "navigation, 2001",
+        ("Y. Bar-Shalom", "X. R. Li", "T. Kirubarajan"),
+        "Estimation with applications to tracking and navigation",
+        2001,
     ),
-    "mardia": Reference("Mardia & Jupp 2000", "K. V. Mardia, P. E. Jupp: Directional statistics, 2000"),
+    "mardia": Reference("Mardia & Jupp 2000", ("K. V. Mardia", "P. E. Jupp"), "Directional statistics", 2000),
     "dellaert": Reference(
-        "Dellaert & Kaess 2017", "F. Dellaert, M. Kaess: Factor graphs for robot perception, 2017"
+        "Dellaert & Kaess 2017", ("F. Dellaert", "M. Kaess"), "Factor graphs for robot perception", 2017
+    ),
+    "kendon": Reference(
+        "Kendon 1990",
+        ("A. Kendon",),
+        "Conducting interaction: patterns of behavior in focused encounters",
+        1990,
+        "Cambridge University Press",
+    ),
+    "setti": Reference(
+        "Setti et al. 2015",
+        ("F. Setti", "C. Russell", "C. Bassetti", "M. Cristani"),
+        "F-formation detection: individuating free-standing conversational groups in images",
+        2015,
+        "PLoS ONE 10",
     ),
     "pedpy": Reference(
-        "Schrödter et al.", "T. Schrödter and the PedPy developers: PedPy, pedestrian trajectory analyzer"
+        "Schrödter et al.",
+        ("T. Schrödter and the PedPy developers",),
+        "PedPy, pedestrian trajectory analyzer",
+        0,
     ),
     "steffen": Reference(
         "Steffen & Seyfried 2010",
-        "B. Steffen, A. Seyfried: Methods for measuring pedestrian density, flow, speed and direction with "
-        "minimal scatter, 2010",
+        ("B. Steffen", "A. Seyfried"),
+        "Methods for measuring pedestrian density, flow, speed and direction with minimal scatter",
+        2010,
     ),
 }
 """Key → work."""
@@ -89,6 +135,14 @@ _ENGINES = {
     "fixed-lag": "online by a fixed-lag smoother in GTSAM ({dellaert})",
 }
 
+BEHAVIOUR: Mapping[str, str] = {
+    "groups": "Conversation groups were found from the empty place that their members face ({kendon}, "
+    "{setti}), and people who walk together from their common velocity and distance.",
+    "attention": "Gaze targets were estimated from the directions of heads by a switching state-space model, "
+    "with probabilities for people, named places and nothing.",
+}
+"""What was computed from the tracks → a sentence on how."""
+
 
 def methods_text(
     model: Model,
@@ -97,6 +151,7 @@ def methods_text(
     constants: Mapping[int, PersonalConstants] | str = "learned",
     summary: ReadSummary | None = None,
     failed: int = 0,
+    behaviour: Iterable[str] = (),
 ) -> tuple[str, tuple[Reference, ...]]:
     """Return the methods paragraph of a run, and the works that it cites.
 
@@ -106,6 +161,7 @@ def methods_text(
     constants : learned constants of each person, or a word for those that were used
     summary : of the rows that were read; None: no data
     failed : number of tracks without an estimate
+    behaviour : keys of `BEHAVIOUR` that were computed too
     """
     from graphtrack import __version__
 
@@ -123,6 +179,7 @@ def methods_text(
     if failed:
         were = "was" if failed == 1 else "were"
         sentences.append(f"{counted(failed, 'track')} had no estimate and {were} left out.")
+    sentences += [BEHAVIOUR[name] for name in behaviour]
     text = " ".join(sentences).replace("{model}", _MODELS[model.preset]).replace("{engine}", _ENGINES[engine])
     return with_references(text)
 
@@ -150,13 +207,15 @@ def _of_constants(constants: Mapping[int, PersonalConstants] | str) -> str:
         math.degrees(math.sqrt(median(getattr(one, f"{name}_diffusion") for one in known)))
         for name in ("body", "head")
     ]
-    noise = known[0].described_noise()
+    learned, assumed = known[0].described_noise(), known[0].described_noise(assumed=True)
+    noise = f"; the noise of the observations is {learned}." if learned else "."
+    noise += f" The noise of the model was used for want of observations: {assumed}." if assumed else ""
     people = "1 person" if len(known) == 1 else f"each of {len(known)} people"
     density = median(one.acceleration_density for one in known)
     return (
         f"The constants of {people} were learned from the recording by how well they predict it: the median "
         f"density of acceleration is {density:.3g} m²/s³, and body and head turn by {turns[0]:.3g} and "
-        f"{turns[1]:.3g}° in a second" + (f"; the noise of the observations is {noise}." if noise else ".")
+        f"{turns[1]:.3g}° in a second{noise}"
     )
 
 
@@ -171,16 +230,32 @@ def methods_lines(text: str, references: Iterable[Reference]) -> tuple[str, ...]
     return (text, *(f"{one.cited}: {one.work}." for one in references))
 
 
+_TITLE = "Methods, for a paper"
+
+
 def methods_section(lines: Iterable[str]) -> Section:
     """Return the section with a methods paragraph, given `methods_lines`."""
-    return Section("Methods, for a paper", tuple(Note(line) for line in lines))
+    return Section(_TITLE, tuple(Note(line) for line in lines))
 
 
-def software_bibtex() -> str:
-    """Return the BibTeX entry of this version of the program."""
+def with_behaviour(sections: Iterable[Section], computed: Iterable[str]) -> tuple[Section, ...]:
+    """Return sections of which that on methods, if need be a new one, says what else was computed.
+
+    ``computed``: keys of `BEHAVIOUR`
+    """
+    lines = methods_lines(*with_references(" ".join(BEHAVIOUR[name] for name in computed)))
+    rest = [one for one in sections if one.title != _TITLE]
+    notes = [note for one in sections if one.title == _TITLE for note in one.items]
+    return (*rest, Section(_TITLE, (*notes, *map(Note, lines))))
+
+
+def bibtex_entries(works: Iterable[Reference]) -> str:
+    """Return the BibTeX entries of this version of the program, and of works."""
     from graphtrack import __version__
 
     title = "{graphtrack: pedestrians' positions, bodies and heads on a factor graph}"
-    fields = {"title": title, "author": "{The graphtrack developers}", "version": __version__}
-    lines = [f"  {name} = {{{value}}}," for name, value in fields.items()]
-    return "\n".join(["@software{graphtrack,", *lines, "}"])
+    fields = {"title": title, "author": "{The graphtrack developers}", "year": YEAR, "version": __version__}
+    keys = {one.cited: key for key, one in REFERENCES.items()}
+    return "\n".join(
+        [_bibtex("software", "graphtrack", fields), *(one.bibtex(keys[one.cited]) for one in works)]
+    )

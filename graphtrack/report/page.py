@@ -28,6 +28,7 @@ from graphtrack.report.lives import (
     life_of,
     pair_tracks,
 )
+from graphtrack.report.methods import BEHAVIOUR, with_behaviour
 from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import KNOWN_HEADING, replay_data
@@ -106,7 +107,7 @@ def tracking_report(
     """
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
-        subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
+        subtitle = f"{subtitle} Times count from {origin}.".strip()
     behaviour = None if behaviour is None else behaviour.in_times_of(estimates)
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
@@ -132,6 +133,8 @@ def tracking_report(
 
         parts += behaviour_sections(behaviour, estimates, pairs)
         extra = behaviour_cards(behaviour)
+        if computed := [name for name in BEHAVIOUR if getattr(behaviour, name) is not None]:
+            sections = with_behaviour(sections, computed)
     parts += [
         _angles_section(pairs),
         Section("People", (people_table(pairs, errors), *motion_table(pairs))),
@@ -177,7 +180,8 @@ def constants_section(
         "in a second, and the likeliest way in which they follow the path.",
         "person",
     )
-    return (Section("Learned constants", (table,)),)
+    noise = (Note(f"{line[0].upper()}{line[1:]}.") for line in next(iter(constants.values())).noise_lines())
+    return (Section("Learned constants", (table, *noise)),)
 
 
 def observed_section(calibration: Records) -> tuple[Section, ...]:
@@ -285,16 +289,26 @@ def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
     )
 
 
-def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, float]:
-    """Shift clock times such as seconds since 1970 to count from the first whole second."""
+def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[TrackSet, TrackSet | None, str]:
+    """Shift clock times to count from the first whole second, and return that: a date, or seconds.
+
+    Times of dates, of bags and since 1970 are read as seconds of their first day.
+    """
     origin = float(np.floor(min((track.t[0] for track in estimates), default=0.0)))
-    if origin < CLOCK_TIMES:
-        return estimates, observations, 0.0
+    read = estimates.as_read or (None if observations is None else observations.as_read)
+    scale = None if read is None else read.time
+    if scale is not None and scale.origin:
+        zone = " UTC" if scale.kind == "number" or scale.zone else ""
+        since = str(np.datetime64(scale.origin // 10**9 + int(origin), "s")).replace("T", " ") + zone
+    elif origin >= CLOCK_TIMES:
+        since = f"{origin:.0f} s"
+    else:
+        return estimates, observations, ""
 
     def shift(track: Track) -> Track:
         return replace(track, t=track.t - origin)
 
-    return estimates.map(shift), None if observations is None else observations.map(shift), origin
+    return estimates.map(shift), None if observations is None else observations.map(shift), since
 
 
 _CURVES = "Speed and orientation"

@@ -1,8 +1,8 @@
 """Shared style of figures, charts and pages, and the shapes in them: ellipses, curves and bands cut at ±π.
 
-The colours are those of Okabe & Ito (2008), distinguishable with common colour blindness. Three are reserved
-for body, head and velocity; people get the other colours and, since these repeat, a dash pattern and an id
-next to their path.
+Three colours of Okabe & Ito (2008) are reserved for body, head and velocity; people get twelve others that
+are distinguishable with common colour blindness and, since these repeat, a dash pattern and an id next to
+their path.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ANGLE_COLOURS: Final = {"body": BODY_COLOUR, "head": HEAD_COLOUR}
 
 
 def person_dash(index: int) -> tuple[float, ...]:
-    """Return the dashes of the person at ``index``; with the colour they repeat after 24 people."""
+    """Return the dashes of the person at ``index``; with the colour they repeat after 48 people."""
     return PERSON_DASHES[index // len(PERSON_COLOURS) % len(PERSON_DASHES)]
 
 

@@ -20,6 +20,7 @@ from graphtrack.interaction.coupled import CONVERSATIONS
 from graphtrack.interaction.people import people_of_estimates
 from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
 from graphtrack.model import Observation
+from graphtrack.model.same_time import MOVED
 from graphtrack.saved import Saved, integer
 from graphtrack.streaming.behaviour import FRAMES, Asked, EndedFrames, SceneBehaviour, by_person
 from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
@@ -102,7 +103,7 @@ class TrackAnswers(Answering):
         super().__init__(fps, note, unused=unused, moving=moving, described=described)
         self._make, self._bounds, self._of_scene = make, bounds, of_scene
         self._commons = Commons(Population(), learns=False) if commons is None else commons
-        self._waiting = dict[int, _Waiting]()
+        self._waiting, self._noted_moved = dict[int, _Waiting](), False
         self.clock, self._identities = bounds.clock(), TextIdentities()
         self.members = of_scene()
 
@@ -245,6 +246,9 @@ class TrackAnswers(Answering):
             self.members[track_id] = one.smoother
             one.answers += self._scene_columns(track_id, one.observation, estimate)
             one.answers.append(estimate_row(track_id, estimate))
+            if estimate.reason == MOVED and not self._noted_moved:
+                self._noted_moved = True
+                self._note(f"a row at {one.observation.t:g} s {MOVED}; so do others with that reason")
 
     def _scene_columns(
         self, track_id: int, observation: Observation, estimate: Estimate

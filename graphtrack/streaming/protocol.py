@@ -68,9 +68,11 @@ class UnknownKeys:
     def check_used(self, names: Collection[str]) -> None:
         """Report keys of a row that are read and not used, once each."""
         if self._unused and not self._unused.isdisjoint(names):
-            for name in sorted(self._unused.intersection(names)):
+            found = self._unused.intersection(names)
+            found -= {"u", "v"} if "x" in names else set()  # the pixel of that position
+            for name in sorted(found):
                 self._note(f"key {name!r} is not used")
-            self._unused = self._unused.difference(names)
+            self._unused -= found
 
     def __call__(self, pairs: Pairs) -> None:
         """Report unknown keys of a line."""
@@ -365,6 +367,8 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
     for name, value in zip(_NUMBERS, values + spread, strict=True):
         row[name] = value if math.isfinite(value) else None
+    speed = math.hypot(*velocity)
+    row["speed"] = speed if math.isfinite(speed) else None
     row["status"] = estimate.status
     if estimate.reason:
         row["reason"] = estimate.reason

@@ -287,7 +287,11 @@ def track_stream(
     def emit(row: Row) -> None:
         give(row if names.are_native else names.restored(row))
 
-    refused = 0
+    refused, is_again = 0, False
+
+    def note(text: str) -> None:
+        if not is_again:  # rows that are processed again had their notes
+            listener.note(text)
 
     def refuse(number: int, line: bytes) -> None:
         nonlocal refused
@@ -313,7 +317,7 @@ def track_stream(
             are_detections = bool(saved.get("detections"))
         elif are_detections is None:
             lines, are_detections = _first_is_detection(lines, refuse)
-        people = answers.scenes(listener.note) if are_detections else answers.people(listener.note)
+        people = answers.scenes(note) if are_detections else answers.people(note)
         saving = None
         if file is not None:
             # Rows that were refused before the state was created are counted.
@@ -327,7 +331,9 @@ def track_stream(
             saving.begin()
         elif saving is not None:
             restore = answers.restored_scene if are_detections else answers.restored_person
+            is_again = True
             _go_on(saving, people, restore, listener, emit)
+            is_again = False
             listener.begun(people.rows)
             incoming = lines_of(stream, people.line + 1)
             lines = names.native_lines(incoming, listener.note)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.conventions import AngleConvention
-from graphtrack.tracks.display import listed, shortened
+from graphtrack.tracks.display import counted, listed, shortened
 from graphtrack.tracks.schema import (
     BOX_KEYS,
     BOXES,
@@ -653,6 +653,7 @@ def rows_of_cells(
     if names and "label" not in columns:
         columns["label"] = np.array([names.get(k, "") for k in columns["track_id"].tolist()], dtype=object)
     box = _boxes(columns)
+    _drop_half_positions(columns, notes)
     plane = _on_the_ground(columns, cells, named, layout, reference, notes)
     if layout.angles is not None and layout.angles.unit == "rad":
         columns |= {key: np.rad2deg(columns[key]) for key in IN_DEGREES if key in columns}
@@ -664,7 +665,8 @@ def rows_of_cells(
     if not strict:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
-    ignored = [name for name in unknown([*cells.columns, *named]) if name not in used and name != IDENTITY]
+    further = set(cells.columns) - used - {IDENTITY}
+    ignored = [name for name in unknown([*cells.columns, *named]) if name in further]
     unnamed = [name for name in COMMON_NAMES if name in cells.columns and name not in used]
     if unnamed:
         notes.append(f"columns {listed(unnamed)} were not read: --columns does not name them")
@@ -742,6 +744,18 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
     return named
 
 
+def _drop_half_positions(columns: dict[str, NDArray[Any]], notes: list[str]) -> None:
+    """Empty the other cell of a position with an empty one, and note how many."""
+    for first, second in (("x", "y"), ("u", "v"), DEGREES, ("true_x", "true_y"), TRUE_DEGREES):
+        if first not in columns or second not in columns:
+            continue
+        empty = np.isnan(columns[first]), np.isnan(columns[second])
+        if half := int((empty[0] != empty[1]).sum()):
+            either = empty[0] | empty[1]
+            columns |= {name: np.where(either, np.nan, columns[name]) for name in (first, second)}
+            notes.append(f"{counted(half, 'row')} with only one of {first} and {second}: without a position")
+
+
 def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
     """Replace the columns of boxes by those of their foot points; return the channels of boxes.
 
@@ -801,10 +815,6 @@ def _on_the_ground(
             pairs.append((metres, columns[metres[0]], columns[metres[1]], named[metres[0]]))
     if not pairs:
         raise cells.fail("no position", "columns for lat and lon, or x and y, with --crs")
-    for _, first, second, name in pairs:
-        half = np.isnan(first) != np.isnan(second)
-        if half.any():
-            raise cells.fail("an empty cell", "both coordinates or none", int(np.argmax(half)), name)
     if reference is not None and reference.plane is not None and reference.plane.crs == crs:
         plane = reference.plane
     else:

@@ -9,8 +9,14 @@ from typing import Final
 BODY_COLOUR: Final = "#0072B2"
 HEAD_COLOUR: Final = "#D55E00"
 VELOCITY_COLOUR: Final = "#009E73"
-PERSON_COLOURS: Final = ("#56B4E9", "#E69F00", "#CC79A7", "#8A8F98", "#94641A", "#8C4A7B")
-"""Colours of Okabe & Ito (2008), distinguishable with any common colour blindness."""
+"""Colours of Okabe & Ito (2008)."""
+
+PERSON_COLOURS: Final = (
+    *("#56B4E9", "#E69F00", "#543CC0", "#FC486C", "#A80000", "#604860"),
+    *("#A8B4A8", "#9C0C90", "#487848", "#C06CA8", "#CCB460", "#8490FC"),
+)
+"""Colours far apart in CIELAB, also as protanopes, deuteranopes and tritanopes see them (at least 20, and 14
+from the three above), and legible on light and dark ground; each is as far as can be from those before."""
 
 MOST = 10
 """Rows of a table, and names in a list, beyond which the rest is only counted."""
@@ -59,7 +65,7 @@ def shortened(text: str) -> str:
 
 
 def person_colour(index: int) -> str:
-    """Return the colour of the person at ``index`` in the set; colours repeat after six people."""
+    """Return the colour of the person at ``index`` in the set; colours repeat after twelve people."""
     return PERSON_COLOURS[index % len(PERSON_COLOURS)]
 
 

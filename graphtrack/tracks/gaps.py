@@ -43,10 +43,10 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     """Insert a row for each frame that is missing between a track's first and last.
 
     A gap is an interval between two rows of a track of more than 1.5 times its usual step: the median of its
-    steps, or of all tracks' steps where that is smaller. Times of inserted frames are evenly spaced within
-    the gap. A gap whose frames would follow each other ten times faster than the frames around it is left,
-    since its frame numbers do not count time; so are those of rows of several sensors, which each count their
-    own.
+    steps, or of all tracks' steps where that is smaller. Inserted frames have the times that other tracks
+    have there; the others are evenly spaced in between. A gap whose frames would follow each other ten times
+    faster than the frames around it is left, since its frame numbers do not count time; so are those of rows
+    of several sensors, which each count their own.
 
     Parameters
     ----------
@@ -68,7 +68,25 @@ def filled(tracks: TrackSet, longest: float = LONGEST_FILLED) -> TrackSet:
     if n_frames > most:
         found = f"{n_frames:,} rows with filled gaps, for {tracks.n_frames:,}"
         raise InputError(found, f"at most {most:,}; --no-fill leaves the gaps")
-    return tracks.map(lambda track: _filled(track, *gaps[track.track_id]))
+    clock = _clock(tracks)
+    return tracks.map(lambda track: _filled(track, *gaps[track.track_id], clock))
+
+
+def _clock(tracks: TrackSet) -> tuple[NDArray[np.int64], FloatArray] | None:
+    """Return the frames of all tracks and their times (n,); None unless each frame has one, in order."""
+    t = np.concatenate([track.t for track in tracks])
+    frames, first, of = np.unique(
+        np.concatenate([track.frame for track in tracks]), return_index=True, return_inverse=True
+    )
+    times = t[first]
+    agree = (np.diff(times) > 0.0).all() and (np.abs(t - times[of]) <= TIME_TOLERANCE).all()
+    return (frames, times) if agree else None
+
+
+def times_of(frame: NDArray[np.int64], frames: NDArray[np.int64], t: FloatArray) -> FloatArray:
+    """Return the times of frames among those with known times (n,); new ones are whole nanoseconds."""
+    found: FloatArray = np.interp(frame, frames, t)
+    return np.where(np.isin(frame, frames), found, np.round(found, 9))
 
 
 def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[TrackSet, tuple[str, ...]]:
@@ -208,12 +226,18 @@ def _sizes(track: Track, gaps: NDArray[np.int64], step: int) -> NDArray[np.int64
     return np.diff(track.frame)[gaps] // step
 
 
-def _filled(track: Track, gaps: NDArray[np.int64], step: int) -> Track:
+def _filled(
+    track: Track,
+    gaps: NDArray[np.int64],
+    step: int,
+    clock: tuple[NDArray[np.int64], FloatArray] | None,
+) -> Track:
     if not len(gaps):
         return track
     between = [np.arange(track.frame[k] + step, track.frame[k + 1] - step // 2, step) for k in gaps]
     frame = np.unique(np.concatenate([track.frame, *between]))
-    return with_rows(track, frame, np.interp(frame, track.frame, track.t), only_sensor(track, len(frame)))
+    times = times_of(frame, *(clock or (track.frame, track.t)))
+    return with_rows(track, frame, times, only_sensor(track, len(frame)))
 
 
 def frames_increase(track: Track) -> bool:
@@ -256,12 +280,12 @@ def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...
 
 
 def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
-    """Select the rows at multiples of 1/hz seconds after ``origin``, and number their frames by them."""
+    """Select the rows at multiples of 1/hz seconds after ``origin``, and number and time them by these."""
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
         on = np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE
-        return replace(track[on], frame=ticks[on].astype(np.int64))
+        return replace(track[on], frame=ticks[on].astype(np.int64), t=np.round(origin + ticks[on] / hz, 9))
 
     return tracks.map(select)
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError, InputWarning, TrackIndexError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray, direction, unit, vectors_of
-from graphtrack.geometry.planar import half_width, heading_half_width, speed_interval, speed_std
+from graphtrack.geometry.planar import half_width, heading_half_width, is_moving, speed_interval, speed_std
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.tracks.schema import (
@@ -755,7 +755,7 @@ def _headings_in_file(
     tracks: TrackSet, columns: Mapping[str, NDArray[Any]], convention: AngleConvention
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of the direction of motion, and of its interval, in a convention of angles."""
-    given = [vars(track) | {"head": track.heading} for track in tracks]
+    given = [vars(track) | {"head": _heading_of_travel(track)} for track in tracks]
     turned = [converted(_placed(one), convention, tracks.camera, back=True)["head"] for one in given]
     found = {"heading_deg": np.rad2deg(_joined(turned, np.float64))}
     low, high = (f"heading_deg_{end}" for end in ENDS)
@@ -770,12 +770,19 @@ def _placed(channels: Mapping[str, Any]) -> dict[str, Any]:
     return {name: channels.get(name) for name in ("position", "pixel", "head")}
 
 
+def _heading_of_travel(track: Track) -> FloatArray:
+    """Return the heading (n,) of a person who moves, radians; NaN where the speed may be 0."""
+    if track.velocity is None:
+        return track.heading
+    return np.where(is_moving(*track._motion(track.velocity)), track.heading, np.nan)
+
+
 def _derived_columns(tracks: TrackSet, intervals: float | None) -> dict[str, NDArray[Any]]:
     """Return speed and heading, and with a probability the ends of intervals; no columns of NaN alone."""
     found = {
         "speed": _joined([one.speed for one in tracks], np.float64),
         "speed_std": _joined([one.speed_std for one in tracks], np.float64),
-        "heading_deg": np.rad2deg(_joined([one.heading for one in tracks], np.float64)),
+        "heading_deg": np.rad2deg(_joined([_heading_of_travel(one) for one in tracks], np.float64)),
     }
     if intervals is not None:
         for column, name in INTERVALS.items():
@@ -783,6 +790,8 @@ def _derived_columns(tracks: TrackSet, intervals: float | None) -> dict[str, NDA
             for end, parts in zip(ENDS, zip(*ends, strict=True), strict=True):
                 values = _joined(list(parts), np.float64)
                 found[f"{column}_{end}"] = np.rad2deg(values) if column.endswith("_deg") else values
+        for end in ENDS:
+            found[f"heading_deg_{end}"][np.isnan(found["heading_deg"])] = np.nan
     return {name: column for name, column in found.items() if not np.isnan(column).all()}
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 import unicodedata
+import warnings
 from functools import partial
 from importlib import import_module
 from inspect import signature
@@ -32,6 +33,7 @@ from graphtrack.cli.console import (
     shown_number,
 )
 from graphtrack.cli.options import command_of
+from graphtrack.errors import InputWarning
 from graphtrack.tracks.track import Track, TrackSet
 
 run = partial(command.run, program="graphtrack")
@@ -263,6 +265,20 @@ def test_errors_of_files_and_of_the_machine_are_one_line(error, monkeypatch, cap
         run_app(failing(error), "program")
     (line,) = capsys.readouterr().err.split()[:1]  # Typer ends the line after EOFError
     assert line == "error:"
+
+
+def test_warnings_about_the_input_are_notes_without_a_place_in_the_source(monkeypatch, capsys) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def warn() -> None:
+        for category in (InputWarning, UserWarning):
+            warnings.warn(f"a {category.__name__}", category, stacklevel=1)
+
+    monkeypatch.setattr("sys.argv", ["program"])
+    with pytest.warns(UserWarning, match="a UserWarning") as others, pytest.raises(SystemExit):
+        run_app(app, "program")
+    assert capsys.readouterr().err == "  note: a InputWarning\n" and len(others) == 1
 
 
 def test_only_an_interrupt_is_an_interrupt(monkeypatch) -> None:

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from graphtrack.constants.online import OnlineSmoother
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model import Observation
+from graphtrack.model import Model, Observation
 from graphtrack.streaming.answers import Scenes, TrackAnswers
 from graphtrack.streaming.protocol import LONGEST_LINE, StreamNames, estimate_row, with_first_row
-from graphtrack.streaming.session import lines_of
+from graphtrack.streaming.session import Answers, lines_of
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.scene import SceneParameters
 
@@ -164,6 +164,23 @@ def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
     assert len(known) == len(set(known)) == len(people.members) >= 2
     assert all(str(one["track_id"]) in line for one, line in zip(found, lines, strict=True) if one in known)
     assert "error" in found[-1]
+
+
+@pytest.mark.parametrize("identified", [True, False])
+def test_the_pixel_of_a_position_is_no_unused_key(identified):
+    """As `perception observe` writes it; of a row without a position it is one."""
+    told = []
+    chosen = Answers(Model("position"), lag=1.0)
+    people = chosen.people(told.append) if identified else chosen.scenes(told.append)
+    of_person = {"track_id": 1} if identified else {}
+    for k in range(12):
+        people.answers(
+            k, json.dumps({**of_person, "t": k / 10, "x": k / 10, "y": 0, "u": k, "v": 5}).encode()
+        )
+    assert told == []
+    for k in (13, 14):
+        people.answers(k, json.dumps({**of_person, "t": k / 10, "u": 1, "v": 5}).encode())
+    assert told == ["key 'u' is not used", "key 'v' is not used"]
 
 
 def test_unknown_keys_are_told_once_and_known_ones_of_answers_never():

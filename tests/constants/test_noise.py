@@ -272,6 +272,23 @@ def test_smooth_says_the_noise_that_it_learned(tmp_path: Path) -> None:
     assert white == pytest.approx(0.2, rel=0.15) and along == pytest.approx(np.hypot(0.2, 0.4), rel=0.3)
 
 
+@pytest.mark.parametrize("seconds", [3, 20])
+def test_noise_that_could_not_be_learned_is_named(seconds: int, tmp_path: Path) -> None:
+    """Of takes of a few seconds the noise is the model's, which the command and the report say."""
+    tracks = walks(9, 0.2, people=2 if seconds == 3 else 4).map(lambda one: one[: 5 * seconds])
+    gt.write(tracks, tmp_path / "found.csv")
+    options = ("-o", tmp_path / "out.csv", "--report", tmp_path / "report.html")
+    done = ran("smooth", tmp_path / "found.csv", *options, program="graphtrack")
+    (line,) = (one for one in done.stderr.splitlines() if "  noise, " in one)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    (one, *_) = gt.solve(tracks)
+    assert isinstance(one, gt.Solution) and one.constants is not None
+    too_few = seconds == 3
+    assert ("too few observations" in line) == too_few == ("noise of the model was used" in page)
+    assert one.constants.assumed == (("position_std",) if too_few else ())
+    assert ("positions 0.1 m" in line) == too_few and f"N{line.strip()[1:]}." in page
+
+
 def people(
     seed: int, n: int = 12, steps: int = 120, fps: float = 10.0, preset: str = "joint", std: float = 0.1
 ) -> TrackSet:

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from graphtrack.geometry.angles import difference, unit
-from graphtrack.geometry.planar import heading_half_width, speed_interval, speed_std
+from graphtrack.geometry.planar import heading_half_width, is_moving, speed_interval, speed_std
 
 SAMPLES = np.random.default_rng(5).standard_normal((40_000, 2))
 
@@ -65,3 +65,25 @@ def test_unknown_correlations_are_none_and_unknown_covariances_give_nothing():
 def test_who_stands_has_no_heading():
     half = heading_half_width(np.zeros((1, 2)), np.eye(2)[None], 0.95)
     assert half == pytest.approx(0.95 * np.pi, abs=1e-3)
+
+
+@given(st.floats(0.0, 4.0), angles, ratios, angles, angles, st.floats(0.01, 100.0))
+def test_people_who_stand_move_with_five_per_cent(speed, angle, ratio, tilt, turned, unit_of_length):
+    velocity, covariance = gaussian(speed, angle, ratio, tilt)
+    inside = np.einsum("ni,nij,nj->n", velocity, np.linalg.inv(covariance), velocity)[0]
+    assume(abs(inside - 5.991) > 1e-6)
+    assert is_moving(velocity, covariance)[0] == (inside > 5.991)
+    again = gaussian(speed, angle + turned, ratio, tilt + turned)
+    scaled = unit_of_length * again[0], unit_of_length**2 * again[1]
+    assert is_moving(*scaled)[0] == (inside > 5.991)
+    standing = SAMPLES @ np.linalg.cholesky(covariance[0]).T
+    every = np.broadcast_to(covariance, (len(standing), 2, 2))
+    assert is_moving(standing, every).mean() == pytest.approx(0.05, abs=0.006)
+
+
+def test_without_an_ellipse_a_velocity_counts():
+    velocity = np.array([[0.0, 0.1], [0.0, 0.1], [0.0, 0.0], [0.0, 0.1]])
+    covariance = np.full((4, 2, 2), np.nan)
+    covariance[1:3] = 0.0  # known exactly
+    covariance[3, [0, 1], [0, 1]] = 0.01  # without a correlation
+    assert is_moving(velocity, covariance).tolist() == [True, True, False, False]

@@ -9,6 +9,8 @@ from made_up import walker
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.streaming.protocol import estimate_row
+from graphtrack.tracks.table import AsRead
 from graphtrack.tracks.track import TrackSet
 
 
@@ -43,6 +45,47 @@ def test_intervals_are_written_on_request_around_the_estimates(estimates, tmp_pa
     assert (wider["speed_high"] > table["speed_high"]).all()
     low, high = estimates[0].interval("body", 0.6827)
     assert (high - low) / 2.0 == pytest.approx(estimates[0].std("body"), rel=1e-3)
+
+
+def people_who_stand_and_walk(speed):
+    rng, t = np.random.default_rng(8), 0.1 * np.arange(80)
+    place = np.column_stack([speed * t, 0.0 * t]) + rng.normal(0.0, 0.03, (80, 2))
+    return gt.Track(1, np.arange(80), t, place, position_std=np.full(80, 0.03), body=np.full(80, 0.2))
+
+
+@pytest.mark.parametrize("angles", [None, "compass"])
+def test_who_stands_has_no_heading(tmp_path, angles):
+    """It is empty, with its interval, where 0 is in the 95 % ellipse of the velocity; all the rest stays."""
+    found = gt.smooth(TrackSet((people_who_stand_and_walk(0.0),)))
+    if angles is not None:
+        found = replace(found, as_read=AsRead(angles=gt.AngleConvention.of(angles)))
+    gt.write(found, tmp_path / "stands.csv", intervals=0.95)
+    table = pd.read_csv(tmp_path / "stands.csv")
+    cov, velocity = found[0].covariance[:, 2:4, 2:4], found[0].velocity
+    inside = np.einsum("ni,nij,nj->n", velocity, np.linalg.inv(cov), velocity) <= 5.991
+    assert inside.mean() > 0.5
+    for name in ("heading_deg", "heading_deg_low", "heading_deg_high"):
+        given = table[name].isna() if name in table else np.ones(len(table), bool)
+        np.testing.assert_array_equal(given, inside)
+    assert table["speed"].notna().all() and np.isfinite(found[0].heading).all()
+    walks = gt.smooth(TrackSet((people_who_stand_and_walk(1.2),))).to_table()
+    assert walks["heading_deg"].notna().all()
+    online = gt.track_online(TrackSet((people_who_stand_and_walk(0.0),))).to_table()
+    assert "heading_deg" not in online or online["heading_deg"].isna().mean() > 0.5
+
+
+def test_an_online_estimate_and_its_row_have_a_speed():
+    track, smoother = people_who_stand_and_walk(1.2), gt.OnlineSmoother(constants="default")
+    table = gt.track_online(TrackSet((track,)), constants="default").to_table()
+    for k in range(20):
+        one = smoother.update(
+            gt.Observation(track.t[k], k, tuple(track.position[k]), position_std=0.03, body=0.2)
+        )
+        assert one.speed == pytest.approx(table["speed"][k])
+        assert one.speed_std == pytest.approx(table["speed_std"][k])
+        assert estimate_row(1, one)["speed"] == one.speed
+    waiting = gt.OnlineSmoother().update(gt.Observation(0.0))
+    assert np.isnan(waiting.speed) and estimate_row(1, waiting)["speed"] is None
 
 
 def test_a_speed_without_a_velocity_is_named():

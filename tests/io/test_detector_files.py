@@ -76,6 +76,9 @@ def test_named_columns(form: dict[str, str], ending: str, tmp_path: Path) -> Non
     tracks = gt.read(table if ending == "memory" else path, fps=10, metres_per_pixel=SCALE)
     check(tracks)
     assert tracks.summary.refused == {"of class car": FRAMES}
+    assert not [note for note in tracks.summary.notes if "ignored" in note]
+    further = gt.read(table.assign(tracker="bytetrack"), fps=10, metres_per_pixel=SCALE)
+    assert "ignored columns tracker" in further.summary.notes
 
 
 def test_named_by_the_user_without_ids_and_without_camera(tmp_path: Path) -> None:
@@ -273,5 +276,9 @@ def test_boxes_of_tables_are_scored_in_the_image(tmp_path: Path) -> None:
     found = gt.score(tmp_path / "one.csv", tmp_path / "truth.txt", iou=0.5)
     assert found.together.idf1 == 1.0
     assert not found.notes
-    zero = gt.score(tmp_path / "boxes.csv", tmp_path / "truth.txt", iou=0.9)  # counted from 0
-    assert zero.together.idf1 < 1.0 and "begin at 0 and those of the truth at 1" in zero.notes[0]
+    files = tmp_path / "boxes.csv", tmp_path / "truth.txt"
+    with pytest.warns(gt.InputWarning, match="begin at 0 and those of the truth at 1.*frame_offset=1"):
+        zero = gt.score(*files, iou=0.9)  # counted from 0
+    assert zero.together.idf1 < 1.0 and zero.notes
+    found = gt.score(*files, iou=0.9, frame_offset=1)
+    assert found.together.idf1 == 1.0 and not found.notes

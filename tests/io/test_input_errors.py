@@ -233,7 +233,6 @@ BAD_NATIVE = {
     "no position": ("track_id,frame,t\n1,0,0\n", None, None),
     "x without y": ("track_id,frame,x,t\n1,0,0,0\n", "y", None),
     "no time": ("track_id,frame,x,y\n1,0,0,0\n", "t", None),
-    "half a position": ("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,1,,2\n", "x", 3),
     "empty id": ("track_id,frame,t,x,y\n,0,0,0,0\n", "track_id", 2),
     "empty time": ("track_id,frame,t,x,y\n1,0,0,0,0\n\n1,1,,0,0\n", "t", 4),
     "time goes back": ("track_id,frame,t,x,y\n1,0,5,0,0\n1,1,4,0,0\n", "t", 3),

@@ -307,6 +307,29 @@ def test_angles_by_name_and_range(here: Path, monkeypatch: pytest.MonkeyPatch) -
         assert tracks[0].head[0] == pytest.approx(np.deg2rad(values) if key == "head_deg" else values)
 
 
+@pytest.mark.parametrize("count", ["timestep", "step_id", "Scan"])
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_counted_scenarios_of_driving_data(
+    count: str, ending: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Columns as in Argoverse 2: counts without a rate, angles by their name, and a flag."""
+    frame = table(id="track_id", x="position_x", y="position_y", t=None).rename(columns={"frame": count})
+    frame.insert(0, "observed", np.arange(len(frame)) % 3 > 0)
+    frame = frame.assign(heading=0.7, object_type="pedestrian")
+    path = here / f"scenario.{ending}"
+    frame.to_parquet(path) if ending == "parquet" else frame.to_csv(path, index=False)
+    refused = command.run("info", path, program="graphtrack")
+    assert refused.returncode == 2 and "--suggest" in refused.stderr
+    assert "--fps is missing" in command.ran("info", path, "--suggest", program="graphtrack").stderr
+    tracks, line = run_suggested(path, monkeypatch)
+    assert f"frame={count},x=position_x,y=position_y,body_rad=heading" in line and "--fps" in line
+    for track in tracks:
+        assert len(track) == STEPS and track.observed is None
+        np.testing.assert_allclose(track.body, 0.7)
+    with_rate, rated = run_suggested(path, monkeypatch, "--fps", 10)
+    assert "--fps 10" in rated and with_rate[0].t[-1] == pytest.approx((STEPS - 1) / 10)
+
+
 @pytest.mark.parametrize("mark", ["\t", " ", ","])
 @pytest.mark.parametrize("order", [("frame", "track_id", "x", "y"), ("track_id", "frame", "x", "y")])
 def test_tables_without_a_header_get_numbers(

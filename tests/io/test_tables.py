@@ -224,13 +224,12 @@ def test_what_makes_no_sense_is_told_in_a_line(case, tmp_path: Path) -> None:
 CELLS = {
     "text for a place": ("pos_x", "here", None),
     "an endless place": ("pos_x", "inf", None),
-    "not a number": ("pos_y", "nan", None),
+    "not a number": ("pos_y", "inf", None),
     "no time": ("timestamp", "", None),
     "no identity": ("agent", "", None),
     "a day that never was": ("timestamp", "2025-02-30T10:00:00", "iso"),
     "a year beyond the bounds": ("timestamp", "0025-02-20T10:00:00", "iso"),
     "a decimal comma": ("pos_x", '"1,5"', None),
-    "half a place": ("pos_x", "", None),
 }
 
 
@@ -277,12 +276,12 @@ PLACES = {
     "no such system": ({"crs": "EPSG:1"}, "1,48,11", "EPSG:1"),
     "no system": ({"crs": "Munich"}, "1,48,11", "Munich"),
     "a system of heights": ({"crs": "EPSG:5773"}, "1,48,11", "EPSG:5773"),
-    "half a place": ({}, "1,48,", "empty cell"),
+    "half a place": ({}, "1,48,", "no place"),
     "a latitude that is none": ({}, "1,148,11", "148"),
     "metres for degrees": ({}, "1,5331000,691000", "--crs"),
     "nothing but gaps": ({}, "1,,", "no place"),
     "not a number": ({}, "1,inf,11", "'inf'"),
-    "a word for half a place": ({}, "1,nan,11", "empty cell"),
+    "a word for half a place": ({}, "1,nan,11", "no place"),
     "two units": ({"crs": "EPSG:4326", "units": "cm"}, "1,48,11", "units"),
 }
 
@@ -432,3 +431,43 @@ def test_whole_numbers_with_a_point_are_numbers(tmp_path):
     assert error.line == 5 and error.found == "an empty cell"
     (tmp_path / "a.csv").write_text("who,t,x,y\n1.0,0,0,0\n1.0,1,0,0\n20.,0,0,0\n")
     assert [track.track_id for track in gt.read(tmp_path / "a.csv", columns="id=who")] == [1, 20]
+
+
+PAIRS = {
+    "metres": (("x", "y"), {}),
+    "own names": (("pos_x", "pos_y"), {"columns": "id=track_id,t=t,x=pos_x,y=pos_y"}),
+    "pixels": (("u", "v"), {"metres_per_pixel": 0.01}),
+    "places": (("lat", "lon"), {"columns": "id=track_id,t=t,lat=lat,lon=lon"}),
+    "truth": (("true_x", "true_y"), {}),
+}
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "ndjson", "memory"])
+@pytest.mark.parametrize("pair", PAIRS)
+def test_half_a_position_is_none(pair: str, ending: str, tmp_path: Path) -> None:
+    """Such rows are as those without both, and one note counts them."""
+    (first, second), options = PAIRS[pair]
+    rows = pd.DataFrame({"track_id": 1, "frame": range(12), "t": np.arange(12) / 10, "x": 0.0, "y": 1.0})
+    if pair != "truth":
+        rows = rows.drop(columns=["x", "y"])
+    rows[first], rows[second] = 48.0 + np.arange(12) / 1e5, 11.0
+    halves, whole = rows.copy(), rows.copy()
+    halves.loc[[2, 7], first] = halves.loc[[4], second] = np.nan
+    halves.loc[9, [first, second]] = np.nan
+    whole.loc[[2, 4, 7, 9], [first, second]] = np.nan
+
+    def read(table: pd.DataFrame, name: str) -> gt.TrackSet:
+        if ending == "memory":
+            return gt.read(table, **options)
+        path = tmp_path / f"{name}.{ending}"
+        if ending == "ndjson":
+            table.to_json(path, orient="records", lines=True)
+        else:
+            table.to_csv(path, index=False) if ending == "csv" else table.to_parquet(path)
+        return gt.read(path, **options)
+
+    found, expected = read(halves, "halves"), read(whole, "whole")
+    assert found.n_frames == 12
+    pd.testing.assert_frame_equal(found.to_table(), expected.to_table())
+    (note,) = set(found.summary.notes) - set(expected.summary.notes)
+    assert note.startswith("3 rows with only one of ") and note.endswith("without a position")

@@ -8,6 +8,7 @@ import pytest
 from made_up import walker
 from page_scripts import decoded, delta_decode, in_node
 
+import graphtrack as gt
 from graphtrack.evaluation.identity_events import IdentityEvent
 from graphtrack.report.content import MAX_ROWS, Chart, DataTable
 from graphtrack.report.html import render_report
@@ -241,3 +242,22 @@ def test_a_filled_gap_of_a_trail_is_a_part_of_its_own():
     assert [part[1] for part in parts[:-1]] == [part[0] for part in parts[1:]]
     dotted = {k for first, last, gap in parts if gap for k in range(first + 1, last)}
     assert dotted == set(np.flatnonzero(track.observed == 0.0).tolist())
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "since"),
+    [
+        ([f"2026-11-23T10:00:{k:02d}.5+01:00" for k in range(7, 12)], "iso", "2026-11-23 09:00:07 UTC"),
+        ([f"2026-11-23 10:00:{k:02d}" for k in range(7, 12)], "iso", "2026-11-23 10:00:07"),
+        ([1_795_428_007_500 + 1000 * k for k in range(5)], "ms", "2026-11-23 10:00:07 UTC"),
+        ([36_000.5 + k for k in range(5)], "s", ""),
+    ],
+)
+def test_times_of_dates_count_from_the_first(column, unit, since):
+    """As read from tables and bags, where they count from midnight; other seconds are as they are."""
+    table = {"id": [1] * 5, "when": column, "x": range(5), "y": [0.0] * 5}
+    tracks = gt.read(table, columns="id=id,t=when,x=x,y=y", time_unit=unit)
+    report = tracking_report(tracks)
+    assert report.subtitle == (f"Times count from {since}." if since else "")
+    first = tracks[0].t[0] - (np.floor(tracks[0].t[0]) if since else 0.0)
+    assert report.replay["people"][0]["t"][0] == pytest.approx(1000.0 * first)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_up import ERRORS, observed, walker
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
@@ -22,7 +23,7 @@ from graphtrack.report.plots import plot_angles, plot_errors, plot_reliability, 
 from graphtrack.report.plots.interaction import plot_group_timeline, plot_look_timeline
 from graphtrack.report.plots.scene import CROWD
 from graphtrack.report.style import angle_bands, break_at_seam
-from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR
+from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS
 from graphtrack.tracks.track import Track, TrackSet
 
 
@@ -216,8 +217,8 @@ def walkers_along(count, step):
 def test_people_are_told_apart_by_colour_and_dashes():
     lines = plot_tracks(walkers_along(CROWD, 1.0)).axes[0].lines
     paths = [line for line in lines if len(line.get_xdata()) > 1 and np.isfinite(line.get_xdata()).all()]
-    looks = {(line.get_color(), str(line._unscaled_dash_pattern)) for line in paths[:24]}
-    assert len(paths) == CROWD and len(looks) == 24
+    looks = {(line.get_color(), str(line._unscaled_dash_pattern)) for line in paths[:48]}
+    assert len(paths) == CROWD and len(looks) == min(CROWD, 48)
 
 
 def test_of_a_crowd_paths_are_drawn_with_names_where_there_is_room():
@@ -336,3 +337,31 @@ def test_the_timeline_of_groups_spans_the_recording() -> None:
     found = groups(pair())
     low, high = plot_group_timeline(found, (), {}).axes[0].get_xlim()
     assert (low, high) == (found.t.min(), found.t.max())
+
+
+# Linear red, green and blue as seen without one kind of cones: Machado, Oliveira and Fernandes (2009).
+PROTANOPE = ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052))
+DEUTERANOPE = ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969))
+TRITANOPE = ((1.256, -0.077, -0.179), (-0.078, 0.931, 0.148), (0.005, 0.691, 0.304))
+TO_XYZ = np.array([[0.4339, 0.3762, 0.1899], [0.2127, 0.7152, 0.0722], [0.0178, 0.1095, 0.8730]])
+
+
+def lightness_and_hue(linear):
+    """CIELAB coordinates (n, 3) of linear sRGB."""
+    root = np.cbrt(np.clip(linear, 0.0, 1.0) @ TO_XYZ.T)
+    return np.column_stack(
+        [116.0 * root[:, 1] - 16.0, 500.0 * (root[:, 0] - root[:, 1]), 200.0 * (root[:, 1] - root[:, 2])]
+    )
+
+
+@pytest.mark.parametrize("seen", [np.eye(3), PROTANOPE, DEUTERANOPE, TRITANOPE])
+def test_colours_of_people_are_far_apart_on_light_and_dark_ground(seen):
+    assert len(set(PERSON_COLOURS)) == len(PERSON_COLOURS) >= 10
+    value = np.array([to_rgba(one)[:3] for one in (*PERSON_COLOURS, BODY_COLOUR, HEAD_COLOUR)])
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    shown = lightness_and_hue(linear @ np.transpose(seen))
+    apart = np.linalg.norm(shown[:, None] - shown, axis=2)[np.triu_indices(len(shown), 1)]
+    assert apart.min() > (20.0 if np.array_equal(seen, np.eye(3)) else 14.0)
+    luminance = linear[: len(PERSON_COLOURS)] @ TO_XYZ[1]
+    assert (1.05 / (luminance + 0.05) >= 1.9).all()  # contrast with white, and with the page in dark mode
+    assert ((luminance + 0.05) / (0.008 + 0.05) >= 1.9).all()

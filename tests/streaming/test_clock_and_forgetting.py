@@ -1,6 +1,7 @@
 """Clocks that jump, and what streams keep while people, streams and time come and go."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from graphtrack.io.formats.ndjson import NOT_USED
 from graphtrack.streaming import answers as of_streams
 from graphtrack.streaming.answers import StreamBounds, TrackAnswers
 from graphtrack.streaming.behaviour import Asked
+from graphtrack.streaming.session import Answers
 
 ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
 
@@ -273,3 +275,63 @@ def test_answers_to_unconfirmed_rows_are_no_rows_of_a_table(identified: bool, cw
     one, other = (gt.read(f"{name}.ndjson") for name in ("usual", "strange"))
     assert one.to_table().equals(other.to_table())
     assert other.summary.refused.get(NOT_USED, 0) == int(identified)
+
+
+@pytest.mark.parametrize("sensor", ["", "gate"])
+def test_a_second_row_that_contradicts_the_first_has_one_note(sensor: str) -> None:
+    """A third observation that agrees has no reason; in Python there is one warning."""
+    rows = [{"track_id": 1, "t": k / 10, "x": k / 10, "y": 0.0, "pos_std": 0.02} for k in range(20)]
+    rows = [{**row, "sensor": sensor} for row in rows] if sensor else rows
+    near = {**rows[15], "x": rows[15]["x"] + 0.01} | ({"sensor": "other"} if sensor else {})
+    far = [{**near, "x": near["x"] + 5.0 + n, "t": rows[k]["t"]} for n, k in enumerate((10, 12))]
+    mixed = [*rows[:11], far[0], *rows[11:13], far[1], *rows[13:16], near, *rows[16:]]
+    notes: list[str] = []
+    answers = flat(each(Answers(gt.Model("joint")).people(notes.append), mixed))
+    moved = [k for k, row in enumerate(answers) if "reason" in row]
+    assert moved == [11, 14] and all("1 ms later" in answers[k]["reason"] for k in moved)
+    assert len(notes) == 1 and "1 ms later" in notes[0] and answers[18]["status"] == "late"
+    smoother = gt.OnlineSmoother()
+    with pytest.warns(gt.InputWarning, match="1 ms later") as warned:
+        for row in mixed:
+            place = row["x"], row["y"]
+            of_row = gt.Observation(row["t"], position=place, position_std=0.02, sensor=row.get("sensor", ""))
+            estimate = smoother.update(of_row)
+            assert bool(estimate.reason) == (row in far)
+            assert smoother.last is not None and not smoother.last.reason
+    assert len(warned) == 1
+
+
+@pytest.mark.parametrize("model", ["position", "joint", "social"])
+def test_a_reset_begins_as_a_new_one_does(model: str) -> None:
+    """To the last bit, at an earlier time, with the options; people get track ids that were not used."""
+    rng = np.random.default_rng(7)
+    place = np.cumsum(rng.normal(0.1, 0.02, (15, 2)), axis=0)
+    observed = [gt.Observation(0.1 * k, position=tuple(one), head=0.2) for k, one in enumerate(place)]
+
+    def states(smoother: gt.OnlineSmoother) -> list[str]:
+        found = map(smoother.update, observed)
+        return [str([one.status, *one.position, *one.covariance.ravel()]) for one in found]
+
+    constants = None if model == "joint" else "default"
+    smoother = gt.OnlineSmoother(model, lag=1.0, constants=constants)
+    first = states(smoother)
+    assert smoother.update(replace(observed[0], t=-9.0)).status == "too-late"
+    smoother.reset()
+    assert smoother.last is None and smoother.lag == 1.0
+    assert states(smoother) == first
+
+    def people(tracker: gt.OnlineTracker) -> list[Any]:
+        found = [tracker.update(0.1 * k, [one, np.add(one, (4.0, 1.0))]) for k, one in enumerate(place)]
+        return [[(one.track_id, *one.position, one.detection) for one in some] for some in found]
+
+    options: dict[str, Any] = {"scene": {"clutter_density": 1e-4}, "lag": 1.0, "constants": constants}
+    tracker = gt.OnlineTracker(model, **options)
+    before = people(tracker)
+    used = {one[0] for some in before for one in some}
+    with pytest.raises(gt.InputError, match="a time in seconds"):
+        tracker.update(0.0, [])
+    tracker.reset()
+    again = people(tracker)
+    shift = min(one[0] for some in again for one in some) - min(used)
+    assert shift > max(used) - min(used)
+    assert [[(one[0] - shift, *one[1:]) for one in some] for some in again] == before

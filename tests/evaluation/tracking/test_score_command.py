@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
 from command import run as run_program
 
 import graphtrack as gt
-from graphtrack.errors import InputError
+from graphtrack.errors import InputError, InputWarning
 
 HEADER = "track_id,frame,t,x,y\n"
 
@@ -50,6 +52,40 @@ def here(cwd):
 
 def run(*arguments):
     return run_program("score", *arguments, program="graphtrack")
+
+
+@pytest.mark.parametrize("offset", [1, -1])
+@pytest.mark.parametrize("times", [True, False])
+def test_frames_that_begin_at_another_number(here, offset, times):
+    """With the offset that the note names all scores are those of frames that are numbered alike."""
+    rng = np.random.default_rng(3)
+    frame, ids = np.tile(np.arange(4, 30), 3), np.repeat([1, 2, 3], 26)
+    x = 1.5 * np.sin(frame / 4) + rng.normal(0, 0.01, len(frame))
+    rows = pd.DataFrame({"track_id": ids, "frame": frame, "t": frame / 10, "x": x, "y": 5.0 * ids})
+    moved = rows.assign(frame=rows.frame - offset, t=rows.t - offset / 10)
+    for name, of in (("walk.csv", rows), ("moved.csv", moved)):
+        (of if times else of.drop(columns="t")).to_csv(name, index=False)
+    options = ["--truth", "walk.csv", "--metres", "0.05", *([] if times else ["--fps", "10"])]
+    first = run("moved.csv", *options)
+    assert first.returncode == 0 and f"--frame-offset {offset} " in first.stderr, first.stderr
+    done = run("moved.csv", *options, "--frame-offset", offset, "--json", "score.json")
+    assert done.returncode == 0 and "begin at" not in done.stderr, done.stderr
+    found = json.loads((here / "score.json").read_text())
+    assert found["together"]["hota"] == 1.0
+    position = next(row for row in found["states"]["rows"] if row["quantity"] == "position")
+    assert position["frames"] == len(rows) and position["rmse"] < 1e-9
+    read = [gt.read(name, fps=None if times else 10) for name in ("moved.csv", "walk.csv")]
+    errors = gt.score_states(*read, metres=0.05, frame_offset=offset).rows[0]
+    assert errors["rmse"] == position["rmse"]
+
+
+def test_an_offset_of_numbers_moves_no_times_that_agree(here):
+    """Frames with other numbers at the same times are compared by time, with or without an offset."""
+    rows = pd.read_csv("truth.csv")
+    rows.assign(frame=rows.frame + 1).to_csv("one.csv", index=False)
+    with pytest.warns(InputWarning, match="compared by time"):
+        assert gt.score("one.csv", "truth.csv", metres=0.05).together.idf1 == 1.0
+    assert gt.score("one.csv", "truth.csv", metres=0.05, frame_offset=-1).together.idf1 == 1.0
 
 
 def test_a_pair_of_files(here):
