@@ -22,8 +22,10 @@ from graphtrack.geometry.angles import (
     unit,
 )
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.covariance import limit_angles
 from graphtrack.kernels.arithmetic import log_i0e
 from graphtrack.kernels.compilation import TRACK, Rehearsal, allocating, compiled, inner
+from graphtrack.kernels.layout import N
 from graphtrack.model.given import covariances_of, observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
@@ -528,6 +530,7 @@ def _rehearse() -> None:
     motion_evidence([track], Parameters(), np.ones(1))
     motion_evidence([track], Parameters(), np.ones(1), persistent=Persistent(0.1, 0.1))
     turning_evidence([track], "head", Parameters(), np.ones(1))
+    limit_angles(np.zeros((1, N, N)))
 
 
 REHEARSAL = Rehearsal("learned constants", _rehearse, 3.5)
@@ -537,6 +540,7 @@ def _rehearse_online() -> None:
     one = np.ones(1)
     rules = FilterRules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, np.zeros(2))
     observe(Filters.of(rules)[0], rules, np.ones(8), np.zeros(1))
+    limit_angles(np.zeros((1, N, N)))
 
 
 ONLINE_REHEARSAL = Rehearsal("learned constants online", _rehearse_online, 4.0)

@@ -668,7 +668,8 @@ def score(
     Warns
     -----
     InputWarning
-        For each of the notes of the result, such as on frame numbers that begin at another number.
+        For frame numbers that begin at another number, and people who are compared by time. Rows without a
+        position, as in the gaps of associated tracks, are a note of the result alone.
 
     Raises
     ------
@@ -684,7 +685,8 @@ def score(
     detect = _boxes_of if threshold.measure == "iou" else _positions_of
     found = judge((detect(*pair, frame_offset) for pair in pairs), threshold)
     for note in found.notes:
-        warnings.warn(note, InputWarning, stacklevel=2)
+        if _NUMBERED in note:
+            warnings.warn(note, InputWarning, stacklevel=2)
     return found
 
 
@@ -728,6 +730,8 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
     )
 
 
+_NUMBERED = "frames of the estimates begin at"
+
 _BETTER = 0.01  # least gain of IDF1 for which a note advises to number frames otherwise
 
 
@@ -748,7 +752,7 @@ def _numbered_apart(
         if (other := figures("", count(moved, threshold), threshold).idf1) > now + _BETTER:
             first = f"{int(estimates.frame.min())} and those of the truth at {int(truth.frame.min())}"
             return (
-                f"frames of the estimates begin at {first}: with {shift} added to those of the estimates "
+                f"{_NUMBERED} {first}: with {shift} added to those of the estimates "
                 f"IDF1 is {other:.3f}, and now {now:.3f}; if they are the same images, --frame-offset "
                 f"{shift} (in Python frame_offset={shift})",
             )

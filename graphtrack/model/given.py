@@ -42,7 +42,7 @@ def never_used(model: Model, camera: GroundCamera | None) -> tuple[str, ...]:
 
 def is_idle(name: str, observation: Observation) -> bool:
     """Return whether an observation has a channel of `never_used`; pixels next to a position are its own."""
-    if name == "pixel" and observation.position is not None:
+    if name == "pixel" and getattr(observation, "position", None) is not None:
         return False
     return getattr(observation, name, None) is not None
 

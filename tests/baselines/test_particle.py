@@ -144,7 +144,7 @@ def test_the_position_likelihood_is_the_models(robust: str, pixels: bool) -> Non
 @pytest.mark.parametrize("classes", [False, True])
 def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> None:
     likelihood = LikelihoodParameters(
-        outlier_probability=outliers, class_outlier_probability=outliers, head_kappa=6.0
+        body_outliers=outliers, head_outliers=outliers, class_outlier_probability=outliers, head_kappa=6.0
     )
     track = walk(5, classes=classes)
     job = prepare(track, Model("joint", Parameters(likelihood=likelihood)), None, "smooth", False)
@@ -442,7 +442,7 @@ def test_a_head_out_of_reach_is_recovered_from_alone(preset: str, gap: bool) -> 
 def test_orientations_are_drawn_from_what_was_observed(kind: str) -> None:
     track, view = walk(5, classes=kind != "angle"), camera(mirrored=True) if kind == "image" else None
     pose = "closest" if kind == "closest" else "smooth"
-    likelihood = LikelihoodParameters(outlier_probability=0.0, class_outlier_probability=0.0)
+    likelihood = LikelihoodParameters(class_outlier_probability=0.0)
     job = prepare(track, Model("joint", Parameters(likelihood=likelihood)), view, pose, kind == "image")
     place, n = np.array([0.7, 0.4]), 6000
     drawn = draw_orientations(job.head, job.camera, 3, np.tile(place, (n, 1)), np.random.default_rng(6))
