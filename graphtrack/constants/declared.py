@@ -21,6 +21,7 @@ from graphtrack.constants.noise import (
     noise_evidence,
     scaled,
     undeclared,
+    with_outliers,
 )
 from graphtrack.constants.personal import Constants, is_learned
 from graphtrack.errors import InputError
@@ -79,6 +80,9 @@ def multiplier_of(found: NoiseEvidence) -> Multiplier:
 Trust = Literal["declared", "check", "learn"]
 """Use of the declared noise: unchanged; checked, with reports of contradictions; or corrected there."""
 
+MANY = 0.1
+"""Share of outliers among angles that is reported."""
+
 TOO_FAR, SURELY = 1.25, 1.1
 """A declared σ is contradicted if wrong by the first factor, and by the second with 99.9 % probability."""
 
@@ -93,12 +97,14 @@ class ChannelNoise:
     multiplier : factor of the declared 1-σ; None: too few observations
     angles : angles against the motion; None: too few people in motion
     column : the file's column that declares the noise, else the model's parameter
+    outliers : share of outliers among observed angles, if the model has none of its own or learned
     """
 
     name: str
     multiplier: Multiplier | None
     angles: AngleFit | None
     column: str
+    outliers: float = 0.0
 
     @property
     def scale(self) -> float:
@@ -124,6 +130,10 @@ class ChannelNoise:
             )
             if found.persistent:
                 lines.append(f"errors of {found.persistent:.2g} m persist")
+        if self.outliers >= MANY:
+            lines.append(
+                f"{100.0 * self.outliers:.0f} % of the angles are outliers (likelihood.{self.name}_outliers)"
+            )
         if self.wrong_angles is not None:
             lines.append(self.wrong_angles.described())
         if not lines:
@@ -162,6 +172,8 @@ class DeclaredNoise:
         for one in self.channels:
             if one.scale != 1.0:
                 parameters = scaled(parameters, one.name, one.scale)
+            if one.outliers >= MANY:
+                parameters = with_outliers(parameters, one.name, one.outliers)
         if parameters is not model.parameters:
             model = model.with_parameters(parameters)
         wrong = [(one.name, one.wrong_angles) for one in self.channels if one.wrong_angles is not None]
@@ -192,14 +204,16 @@ def trusted(
     tracks = tracks.map(with_position_noise)
     if trust == "declared":
         return tracks, model, notes
-    left_out = undeclared(tracks, model) if is_learned(constants, model) else ()
-    noise = declared_noise(tracks, model, left_out)
+    learns = is_learned(constants, model)
+    noise = declared_noise(tracks, model, undeclared(tracks, model) if learns else (), outliers=not learns)
     if trust == "check":
         return tracks, model, [*notes, *noise.lines()]
     return *noise.corrected(tracks, model), [*notes, *noise.lines(corrected=True)]
 
 
-def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ()) -> DeclaredNoise:
+def declared_noise(
+    tracks: TrackSet, model: Model, left_out: Sequence[str] = (), *, outliers: bool = True
+) -> DeclaredNoise:
     """Test the noise that a file, or else the model, declares against the data.
 
     Multipliers maximise the one-step predictive likelihood, always on the same stretches. Angles are compared
@@ -209,6 +223,7 @@ def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ())
     Parameters
     ----------
     left_out : channels whose noise is not tested
+    outliers : whether shares of outliers among angles are reported
     """
     found = []
     for name, spread in SPREADS.items():
@@ -226,6 +241,8 @@ def declared_noise(tracks: TrackSet, model: Model, left_out: Sequence[str] = ())
         if name == "position" and any_in_image(tracks, model.parameters):
             column = "likelihood.pixel_std"
         multiplier = None if evidence is None else multiplier_of(evidence)
-        found.append(ChannelNoise(name, multiplier, angles, column))
+        own = getattr(model.parameters.likelihood, f"{name}_outliers", 0.0)
+        share = evidence.outliers if outliers and evidence is not None and not own else 0.0
+        found.append(ChannelNoise(name, multiplier, angles, column, share))
     has_both = model.has_body and model.has_head and all(one.wrong_angles is None for one in found)
     return DeclaredNoise(tuple(found), relation_of(tracks) if has_both else None)

@@ -66,6 +66,9 @@ OUTLIERS = np.array([0.0, 0.01, 0.03, 0.1, 0.3])
 _PRIOR_OUTLIERS = 0.01
 """Probability of a share above 0."""
 
+_FIRST_OUTLIERS = 0.03, 0.3
+"""Shares from which noise and outliers are found: few, or many in place of a large noise."""
+
 
 def stretches_of(tracks: Sequence[Track], name: str, parameters: Parameters) -> list[Track]:
     """Return stretches of the observed rows of tracks, evenly over all people, in the order of their ids."""
@@ -137,15 +140,7 @@ def noise_evidence(
         persistent = positions.persistent()
         return NoiseEvidence(positions.log_density(persistent), numbers, persistent, 0.0)
     angles = _Angles(some, name, parameters)
-    multiple, share = 1.0, OUTLIERS[2]
-    # In turn: a share that is too small makes the noise large, and the other way round.
-    for _ in range(_ROUNDS):
-        before = share
-        density = np.stack([angles(one, share) for one in MULTIPLES.tolist()], axis=1)
-        multiple = MULTIPLES[int(np.argmax(density.sum(axis=0)))].item()
-        share = angles.outliers(multiple)
-        if share == before:
-            break
+    density, share = max(map(angles.settled, _FIRST_OUTLIERS), key=lambda found: angles.worth(*found))
     return NoiseEvidence(density, numbers, Persistent(), share)
 
 
@@ -165,11 +160,25 @@ class _Angles:
             self._found[multiple, share] = _marginal(evidence, self._start, DIFFUSIONS)
         return self._found[multiple, share]
 
-    def outliers(self, multiple: float) -> float:
-        """Return the most probable share of `OUTLIERS`."""
-        total = np.array([self(multiple, share).sum() for share in OUTLIERS.tolist()])
-        total[1:] += math.log(_PRIOR_OUTLIERS / (len(OUTLIERS) - 1))
-        return OUTLIERS[int(np.argmax(total))].item()
+    def settled(self, share: float) -> tuple[FloatArray, float]:
+        """Return the log density (m, s) for each of `MULTIPLES`, and the share of outliers, from a first one.
+
+        In turn: a share that is too small makes the noise large, and the other way round.
+        """
+        for _ in range(_ROUNDS):
+            before = share
+            density = np.stack([self(one, share) for one in MULTIPLES.tolist()], axis=1)
+            multiple = MULTIPLES[int(np.argmax(density.sum(axis=0)))].item()
+            shares = OUTLIERS.tolist()
+            share = max(shares, key=lambda one: self.worth(self(multiple, one)[:, None], one))
+            if share == before:
+                break
+        return density, share
+
+    def worth(self, density: FloatArray, share: float) -> float:
+        """Return the log density of all stretches with the best multiple, and of a share of outliers."""
+        prior = math.log(_PRIOR_OUTLIERS / (len(OUTLIERS) - 1)) if share else 0.0
+        return float(density.sum(axis=0).max()) + prior
 
 
 def with_outliers(parameters: Parameters, name: str, share: float) -> Parameters:

@@ -17,6 +17,7 @@ from graphtrack.constants.filters import OUTLIERS, PERSISTENCE, Persistent, moti
 from graphtrack.constants.noise import undeclared, with_learned_noise, with_offset
 from graphtrack.constants.population import DENSITIES, Population
 from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.tracks.track import Track, TrackSet
@@ -403,3 +404,19 @@ def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(tmp_p
     files = (overconfident, "-o", tmp_path / "out.parquet")
     done = run("smooth", *files, "--stream", "--trust", "learn", program="graphtrack")
     assert done.returncode == 2 and "--trust" in done.stderr
+
+
+def test_many_outliers_are_named_where_they_are_not_learned_and_corrected_on_request() -> None:
+    rng = np.random.default_rng(0)
+
+    def turned(track: gt.Track) -> gt.Track:
+        wrong = rng.random(len(track)) < 0.3
+        return replace(track, head=wrap(np.where(wrong, track.head + np.pi, track.head)))
+
+    tracks = people(3).map(turned)
+    (line,) = declared_noise(tracks, MODEL).lines()
+    assert line.startswith("head: 30 % of the angles are outliers (likelihood.head_outliers)")
+    assert declared_noise(tracks, MODEL, outliers=False).lines() == []
+    _, model = declared_noise(tracks, MODEL).corrected(tracks, MODEL)
+    assert model.parameters.likelihood.outliers("head") == 0.3
+    assert declared_noise(tracks, model).lines() == []
