@@ -21,7 +21,7 @@ from graphtrack.constants.noise import (
     noise_evidence,
     scaled,
     undeclared,
-    with_outliers,
+    with_outlier_share,
 )
 from graphtrack.constants.personal import Constants, is_learned
 from graphtrack.errors import InputError
@@ -104,7 +104,7 @@ class ChannelNoise:
     multiplier: Multiplier | None
     angles: AngleFit | None
     column: str
-    outliers: float = 0.0
+    outliers: float
 
     @property
     def scale(self) -> float:
@@ -173,7 +173,7 @@ class DeclaredNoise:
             if one.scale != 1.0:
                 parameters = scaled(parameters, one.name, one.scale)
             if one.outliers >= MANY:
-                parameters = with_outliers(parameters, one.name, one.outliers)
+                parameters = with_outlier_share(parameters, one.name, one.outliers)
         if parameters is not model.parameters:
             model = model.with_parameters(parameters)
         wrong = [(one.name, one.wrong_angles) for one in self.channels if one.wrong_angles is not None]

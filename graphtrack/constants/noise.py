@@ -150,12 +150,15 @@ class _Angles:
     def __init__(self, some: Sequence[Track], name: str, parameters: Parameters) -> None:
         self._some, self._name, self._parameters = some, name, parameters
         self._start = getattr(Population(), f"{name}_diffusion")
+        self._has_noise = any(getattr(one, name) is not None for one in some)
         self._found: dict[tuple[float, float], FloatArray] = {}
 
     def __call__(self, multiple: float, share: float) -> FloatArray:
         """Return the log density (m,) of each stretch."""
+        if not self._has_noise:
+            multiple = 1.0  # that of classes has no parameter
         if (multiple, share) not in self._found:
-            own = with_outliers(scaled(self._parameters, self._name, multiple), self._name, share)
+            own = with_outlier_share(scaled(self._parameters, self._name, multiple), self._name, share)
             evidence = turning_evidence(self._some, self._name, own, DIFFUSIONS)
             self._found[multiple, share] = _marginal(evidence, self._start, DIFFUSIONS)
         return self._found[multiple, share]
@@ -181,7 +184,7 @@ class _Angles:
         return float(density.sum(axis=0).max()) + prior
 
 
-def with_outliers(parameters: Parameters, name: str, share: float) -> Parameters:
+def with_outlier_share(parameters: Parameters, name: str, share: float) -> Parameters:
     """Return parameters with a share of outliers among the angles of "body" or "head"."""
     own: dict[str, Any] = {f"{name}_outliers": share}
     return replace(parameters, likelihood=replace(parameters.likelihood, **own))
@@ -338,7 +341,7 @@ def with_learned_noise(population: Population, tracks: TrackSet, model: Model) -
     changes: dict[str, Any] = {}
     unknown = undeclared(tracks, model)
     for name in SPREADS:
-        if name not in unknown and name == "position":
+        if name == "position" and name not in unknown:
             continue
         found = noise_evidence(tracks.tracks, name, model.parameters, tracks.camera)
         if found is None:
@@ -368,7 +371,7 @@ def with_noise(parameters: Parameters, names: Sequence[str], population: Populat
         share = max(
             getattr(population, f"{name}_outliers"), getattr(parameters.likelihood, f"{name}_outliers")
         )
-        parameters = with_outliers(parameters, name, share)
+        parameters = with_outlier_share(parameters, name, share)
     for name in names:
         parameters = with_default_noise(parameters, name, getattr(population, f"{name}_noise"))
     if "position" in names and population.pixel_noise == 0.0:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -40,7 +39,7 @@ from graphtrack.constants.population import (
     learned,
     posterior,
 )
-from graphtrack.constants.prediction import HALVES, held_out_density, without_half
+from graphtrack.constants.prediction import HALVES, HeldOut
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray, direction, unit, wrap
 from graphtrack.inference.chain.covariance import limit_angles
@@ -221,18 +220,21 @@ def _over_couplings(
 def _coupling_evidence(
     tracks: TrackSet, model: Model, solve: Solve, alternatives: Sequence[Mapping[str, FloatArray]]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the log evidence (m, k) of alternatives' parameters, and the tracks (m,) that were solved."""
+    """Return the log evidence (m, k) of alternatives' parameters, and the tracks (m,) that were solved.
+
+    Without any angle nothing is solved: the alternatives are equally probable.
+    """
     evidence, judged = np.zeros((len(tracks), len(alternatives))), np.ones(len(tracks), dtype=bool)
     parts = _middles(tracks, JUDGED, FEWEST_JUDGED)
-    for half in HALVES:
-        given = parts.map(partial(without_half, half=half, parameters=model.parameters))
+    held_out = HeldOut(parts.tracks, model.parameters)
+    for half in HALVES if held_out.has_angles else ():
+        given = parts.with_tracks(held_out.without(half))
         for k, own in enumerate(alternatives):
-            found = solve(given, model, own, None)
-            judged &= [isinstance(one, Solution) for one in found]
-            kept = [m for m, one in enumerate(found) if isinstance(one, Solution)]
-            estimates = [_track_of(found[m]) for m in kept]
-            some = [parts.tracks[m] for m in kept]
-            evidence[kept, k] += held_out_density(some, estimates, half, model.parameters)
+            found = [
+                one.track if isinstance(one, Solution) else None for one in solve(given, model, own, None)
+            ]
+            judged &= [one is not None for one in found]
+            evidence[:, k] += held_out.density(found, half)
     evidence[~judged] = 0.0
     return evidence, judged
 
@@ -375,11 +377,6 @@ def _some(
     for m, one in zip(places, solved, strict=True):
         found[m] = one
     return found
-
-
-def _track_of(found: Solution | Failure | None) -> Track:
-    assert isinstance(found, Solution)
-    return found.track
 
 
 def _of_one(found: Sequence[Solution | Failure | None], weights: FloatArray) -> Solution | Failure:

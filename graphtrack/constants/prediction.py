@@ -1,4 +1,4 @@
-"""Held-out prediction: the density of each half of a person's angles by the estimate without that half."""
+"""Held-out prediction: the density of each half of people's angles by estimates without that half."""
 
 from __future__ import annotations
 
@@ -21,45 +21,58 @@ HALVES = (0, 1)
 _PLACES = {"body": BODY, "head": HEAD}
 
 
+class HeldOut:
+    """The observed angles of some tracks, each half of which is left out in turn: cross-validation.
+
+    Attributes
+    ----------
+    has_angles : whether any track has an observed angle or class likelihoods
+    """
+
+    def __init__(self, tracks: Sequence[Track], parameters: Parameters) -> None:
+        self._tracks, self._likelihood = tracks, parameters.likelihood
+        self._observed = [
+            {name: observed_direction(track, name, parameters) for name in _PLACES} for track in tracks
+        ]
+        self.has_angles = any(kappa.any() for one in self._observed for _, kappa in one.values())
+
+    def without(self, half: int) -> list[Track]:
+        """Return the tracks without one of the `HALVES` of their angles and class likelihoods."""
+        found = []
+        for track, observed in zip(self._tracks, self._observed, strict=True):
+            changed: dict[str, Any] = {}
+            for name, (_, kappa) in observed.items():
+                gone = _is_held_out(kappa, half)
+                for column in (name, f"{name}_likelihood"):
+                    values = getattr(track, column)
+                    if values is not None and gone.any():
+                        changed[column] = values.copy()
+                        changed[column][gone] = np.nan
+            found.append(replace(track, **changed))
+        return found
+
+    def density(self, estimates: Sequence[Track | None], half: int) -> FloatArray:
+        """Return the log density (m,) of the angles of a half, by estimates `without` it; 0 for None.
+
+        The angles of neighbouring rows are in the estimate, as those before are in a prediction one step
+        ahead, and its covariance is used as it is.
+        """
+        found = np.zeros(len(self._tracks))
+        for m, (observed, estimate) in enumerate(zip(self._observed, estimates, strict=True)):
+            if estimate is None:
+                continue
+            assert estimate.covariance is not None
+            for name, place in _PLACES.items():
+                angle, kappa = observed[name]
+                some, estimated = _is_held_out(kappa, half), getattr(estimate, name)
+                if estimated is not None and some.any():
+                    sure = 1.0 / estimate.covariance[some, place, place]
+                    density = log_blurred(angle[some] - estimated[some], kappa[some], sure)
+                    found[m] += with_outliers(density, self._likelihood.outliers(name)).sum()
+        return found
+
+
 def _is_held_out(kappa: FloatArray, half: int) -> NDArray[np.bool_]:
     """Return which of the observations (n,) of concentrations, 0 without one, a half has."""
     known = kappa > 0.0
     return np.asarray(known & (np.cumsum(known) % 2 == 1 - half))
-
-
-def without_half(track: Track, half: int, parameters: Parameters) -> Track:
-    """Return a track without one of the `HALVES` of its observed angles and class likelihoods."""
-    changed: dict[str, Any] = {}
-    for name in _PLACES:
-        gone = _is_held_out(observed_direction(track, name, parameters)[1], half)
-        for column in (name, f"{name}_likelihood"):
-            values = getattr(track, column)
-            if values is not None and gone.any():
-                changed[column] = values.copy()
-                changed[column][gone] = np.nan
-    return replace(track, **changed)
-
-
-def held_out_density(
-    tracks: Sequence[Track], estimates: Sequence[Track], half: int, parameters: Parameters
-) -> FloatArray:
-    """Return the log density (m,) of a half of each track's angles, by estimates without it.
-
-    Cross-validation in two halves. The angles of neighbouring rows are in the estimate, as those before are
-    in a prediction one step ahead, and its covariance is used as it is.
-
-    Parameters
-    ----------
-    estimates : with covariances, of the tracks of `without_half`
-    """
-    found = np.zeros(len(tracks))
-    for m, (track, estimate) in enumerate(zip(tracks, estimates, strict=True)):
-        assert estimate.covariance is not None
-        for name, place in _PLACES.items():
-            angle, kappa = observed_direction(track, name, parameters)
-            some, estimated = _is_held_out(kappa, half), getattr(estimate, name)
-            if estimated is not None and some.any():
-                sure = 1.0 / estimate.covariance[some, place, place]
-                density = log_blurred(angle[some] - estimated[some], kappa[some], sure)
-                found[m] += with_outliers(density, parameters.likelihood.outliers(name)).sum()
-    return found

@@ -15,7 +15,7 @@ import graphtrack as gt
 from graphtrack.constants.filters import turning_evidence
 from graphtrack.constants.personal import averaged, mixture, solve_learned
 from graphtrack.constants.population import COUPLINGS, DIFFUSIONS, Population, learned, posterior
-from graphtrack.constants.prediction import HALVES, held_out_density, without_half
+from graphtrack.constants.prediction import HALVES, HeldOut
 from graphtrack.errors import InputError
 from graphtrack.experiments.harness import evenly, thinned
 from graphtrack.geometry.angles import wrap
@@ -78,8 +78,9 @@ def test_held_out_angles_are_judged_by_estimates_without_them(half: int) -> None
     head = track.head.copy()
     head[[3, 4, 11]] = np.nan
     track = replace(track, head=head)
-    estimate = gt.smooth(without_half(track, half, model.parameters), model)
-    found = held_out_density([track], [estimate], half, model.parameters)
+    held_out = HeldOut([track], model.parameters)
+    estimate = gt.smooth(held_out.without(half)[0], model)
+    found = held_out.density([estimate], half)
     grid = np.linspace(-np.pi, np.pi, 2000, endpoint=False)
     expected = 0.0
     for place, channel, kappa in ((4, "body", 4.0), (5, "head", 8.0)):
@@ -98,7 +99,7 @@ def test_halves_share_every_angle_and_class_and_nothing_else_changes() -> None:
     classes[::3, 2] = classes[::3, 3] = 0.5
     classes[::3] = np.nan_to_num(classes[::3])
     track = replace(walker(5, n=20), body=None, body_kappa=None, body_likelihood=classes)
-    parts = [without_half(track, half, Parameters()) for half in HALVES]
+    parts = [HeldOut([track], Parameters()).without(half)[0] for half in HALVES]
     for column in ("head", "body_likelihood"):
         known = [np.isfinite(getattr(one, column).reshape(20, -1)[:, 0]) for one in (track, *parts)]
         np.testing.assert_array_equal(known[0], known[1] ^ known[2])
