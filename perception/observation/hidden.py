@@ -22,10 +22,10 @@ _LEVELS = ((SHOULDERS, 0.815, 0.03), (HIPS, 0.53, 0.04), (KNEES, 0.285, 0.035), 
 """Pairs of points from above, their height above the ground in heights of a standing person (Drillis &
 Contini 1966), and its 1-σ with that of a pose network."""
 _TOP_DEVIATION = 0.03  # 1-σ of the top of a box, in heights
-_STOUTEST = 0.6
+_WIDEST = 0.6
 """Width over height of a box from which it does not hold a standing person from head to foot: strides and
 raised arms are below it."""
-_SHAPE = 0.41
+_USUAL_WIDTH = 0.41
 """Width over height of the boxes of standing people (MOT17, whose boxes it defines)."""
 _NEARER_HEAD = -0.15, 0.2
 """Mean and 1-σ of the change of depth from feet to head, in depths of the feet: of cameras 1.5 to 12 m
@@ -60,9 +60,9 @@ def full_box(
     near, of_height = _AT_BORDER
     at_bottom = bottom >= rows - max(near, of_height * height)
     if not (points[:, 2] > 0.0).any():
-        if not (by_shape and at_bottom and is_stout(box)):
+        if not (by_shape and at_bottom and is_too_wide(box)):
             return None
-        return float(left), float(top), float(width), float(width / _SHAPE)
+        return float(left), float(top), float(width), float(width / _USUAL_WIDTH)
     if at_bottom and not inside[list(ANKLES)].any():
         below = (points[:, 1] >= rows) & (points[:, 2] > 0.0)
         levels = [(1.0, top, _TOP_DEVIATION)] if top > near else []
@@ -84,12 +84,12 @@ def full_box(
     return None if full == box else full
 
 
-def is_stout(box: tuple[float, float, float, float]) -> bool:
+def is_too_wide(box: tuple[float, float, float, float]) -> bool:
     """Return whether a box is too wide for a standing person from head to foot.
 
     Who is cut by the border, sits, or stands behind a desk is in such a box.
     """
-    return box[2] > _STOUTEST * box[3]
+    return box[2] > _WIDEST * box[3]
 
 
 def are_upright(boxes: Sequence[tuple[float, float, float, float]]) -> bool:
@@ -100,7 +100,7 @@ def are_upright(boxes: Sequence[tuple[float, float, float, float]]) -> bool:
     box = np.asarray(boxes, float).reshape(-1, 4)
     bottom = box[:, 1] + box[:, 3]
     elsewhere = box[bottom < bottom.max(initial=0.0) - _AT_BORDER[1] * box[:, 3]]
-    return not len(elsewhere) or bool(np.mean(elsewhere[:, 2] > _STOUTEST * elsewhere[:, 3]) < 0.5)
+    return not len(elsewhere) or bool(np.mean(elsewhere[:, 2] > _WIDEST * elsewhere[:, 3]) < 0.5)
 
 
 def _foot_row(levels: FloatArray) -> float | None:

@@ -32,7 +32,7 @@ from perception.observation.hidden import (
     cut_shares,
     full_box,
     hidden_shares,
-    is_stout,
+    is_too_wide,
 )
 from perception.observation.journal import FrameJournal
 from perception.pose.classes import PoseClasses, image_likelihood, world_likelihood
@@ -216,15 +216,15 @@ def observe_frame(
     ]
     if models.of_keypoints is not None or models.of_camera is not None:
         return found
-    return [without_legs(one) for one in found]
+    return [without_partial_body(one) for one in found]
 
 
-def without_legs(item: PersonObservation) -> PersonObservation:
+def without_partial_body(item: PersonObservation) -> PersonObservation:
     """Return the observation without the body's classes where its box does not hold a whole person.
 
     The package's classifiers of bodies are trained on standing people, as they look from in front.
     """
-    if item.standing is not None or not is_stout(item.box):
+    if item.standing is not None or not is_too_wide(item.box):
         return item
     return replace(item, body=np.full(BODY_CLASSES, -math.log(BODY_CLASSES)))
 

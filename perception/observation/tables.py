@@ -27,7 +27,7 @@ from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.ground.views import Ground
 from perception.images.frames import Clock
-from perception.observation.hidden import CUT, is_stout
+from perception.observation.hidden import CUT, is_too_wide
 from perception.observation.pipeline import (
     FrameObservation,
     PersonObservation,
@@ -215,19 +215,18 @@ _CUT_FROM = 0.02  # shares beyond the border that are reported
 def cut_note(frames: Mapping[int, FrameObservation]) -> list[str]:
     """Return sentences on the people whom the border of the image cuts, and who are not shown as a whole."""
     everybody = [item for known in frames.values() for item in known.people]
-    items, count = [item for item in everybody if item.cut >= _CUT_FROM], len(everybody)
-    stout = sum(is_stout(item.box) and not np.ptp(item.body) for item in everybody)
-    in_part = (
-        f"{stout} of {count} boxes are too wide for a standing person from head to foot (cut, sitting, seen "
-        "from above): the package's models take no direction of the body from them"
-    )
-    notes = [in_part] if stout else []
-    if not items:
-        return notes
-    line = f"{len(items)} of {count} boxes are cut by the border of the image (input_{CUT} of the rows)"
-    standing = sum(item.full is not None for item in items)
-    rest = f": in {standing} the feet follow from keypoints or the box's shape, as of people who stand"
-    return [line + rest * (standing > 0), *notes]
+    cut, notes, count = [item for item in everybody if item.cut >= _CUT_FROM], [], len(everybody)
+    if cut:
+        line = f"{len(cut)} of {count} boxes are cut by the border of the image (input_{CUT} of the rows)"
+        standing = sum(item.full is not None for item in cut)
+        rest = f": in {standing} the feet follow from keypoints or the box's shape, as of people who stand"
+        notes.append(line + rest if standing else line)
+    if in_part := sum(is_too_wide(item.box) and not np.ptp(item.body) for item in everybody):
+        notes.append(
+            f"{in_part} of {count} boxes are too wide for a standing person from head to foot (cut, "
+            "sitting, seen from above): the package's models take no direction of the body from them"
+        )
+    return notes
 
 
 def projection_of(frames: Mapping[int, FrameObservation]) -> Projection:

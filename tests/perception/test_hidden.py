@@ -18,7 +18,7 @@ from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.detection.boxes import PersonBox
 from perception.detection.keypoint_files import write_keypoints
-from perception.observation.hidden import are_upright, cut_shares, full_box, hidden_shares, is_stout
+from perception.observation.hidden import are_upright, cut_shares, full_box, hidden_shares, is_too_wide
 from perception.pose.keypoints import ANKLES, FACE, HIPS, KNEES, SHOULDERS, as_points
 
 MODEL = gt.Model("joint", Parameters().with_values({"likelihood.hidden_outliers": 1.0}))
@@ -106,14 +106,14 @@ def test_whole_people_keep_their_box() -> None:
 
 
 @pytest.mark.parametrize("width", [130.0, 180.0])
-def test_feet_below_the_border_follow_from_a_stout_box(width: float) -> None:
+def test_feet_below_the_border_follow_from_a_box_that_is_too_wide(width: float) -> None:
     tall = width / 0.41
     box = (200.0, 480.0 - 0.6 * tall, width, 0.6 * tall)
     full = full_box(box, np.zeros((17, 3)), SIZE, by_shape=True)
-    assert full is not None and is_stout(box)
+    assert full is not None and is_too_wide(box)
     np.testing.assert_allclose(full, (200.0, box[1], width, tall))
-    above = (200.0, 100.0, width, 0.6 * tall)  # who sits is as stout, and in the picture
-    assert is_stout(above) and full_box(above, np.zeros((17, 3)), SIZE, by_shape=True) is None
+    above = (200.0, 100.0, width, 0.6 * tall)  # who sits is as wide, and in the picture
+    assert is_too_wide(above) and full_box(above, np.zeros((17, 3)), SIZE, by_shape=True) is None
     narrow = [(50.0 * k, 50.0, 30.0, 100.0) for k in range(4)]
     assert are_upright([box]) and are_upright([box, *narrow])
     assert not are_upright([box, above, above])  # as from above
