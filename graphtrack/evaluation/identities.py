@@ -19,7 +19,7 @@ IDF1 = 2·IDTP / (2·IDTP + IDFP + IDFN).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial, reduce
 from itertools import pairwise
@@ -683,10 +683,10 @@ def score(
     if files and true_files:
         pairs = [(name, *pair) for name, pair in paired_files(files, true_files).items()]
     detect = _boxes_of if threshold.measure == "iou" else _positions_of
-    found = judge((detect(*pair, frame_offset) for pair in pairs), threshold)
-    for note in found.notes:
-        if _NUMBERED in note:
-            warnings.warn(note, InputWarning, stacklevel=2)
+    doubts: list[str] = []
+    found = judge((detect(*pair, frame_offset) for pair in pairs), threshold, doubts.append)
+    for note in doubts:
+        warnings.warn(note, InputWarning, stacklevel=2)
     return found
 
 
@@ -707,8 +707,12 @@ def threshold_of(metres: float | None = None, iou: float | None = None) -> Thres
     return Threshold("metres", METRES if metres is None else metres)
 
 
-def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
+def judge(
+    pairs: Iterable[Pair], threshold: Threshold, doubt: Callable[[str], object] = lambda note: None
+) -> TrackingScore:
     """Score the sequences one by one, and sum the counts.
+
+    ``doubt`` receives the notes that put the score in doubt: on frame numbers.
 
     Raises
     ------
@@ -719,9 +723,11 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
     counts, notes = {}, []
     for name, estimates, truth in pairs:
         counts[name] = count(share_frames(truth, estimates, similarity, name), threshold)
-        of_pair = missing_in_words(truth, estimates)
-        of_pair += _numbered_apart(estimates, truth, similarity, threshold, counts[name])
-        notes += [f"{name}: {note}" if name else note for note in of_pair]
+        apart = _numbered_apart(estimates, truth, similarity, threshold, counts[name])
+        for note in (*missing_in_words(truth, estimates), *apart):
+            notes.append(f"{name}: {note}" if name else note)
+            if note in apart:
+                doubt(notes[-1])
     return TrackingScore(
         sequences=tuple(figures(name, of_sequence, threshold) for name, of_sequence in counts.items()),
         together=figures(TOGETHER, reduce(add, counts.values()), threshold),
@@ -729,8 +735,6 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
         notes=tuple(notes),
     )
 
-
-_NUMBERED = "frames of the estimates begin at"
 
 _BETTER = 0.01  # least gain of IDF1 for which a note advises to number frames otherwise
 
@@ -752,7 +756,7 @@ def _numbered_apart(
         if (other := figures("", count(moved, threshold), threshold).idf1) > now + _BETTER:
             first = f"{int(estimates.frame.min())} and those of the truth at {int(truth.frame.min())}"
             return (
-                f"{_NUMBERED} {first}: with {shift} added to those of the estimates "
+                f"frames of the estimates begin at {first}: with {shift} added to those of the estimates "
                 f"IDF1 is {other:.3f}, and now {now:.3f}; if they are the same images, --frame-offset "
                 f"{shift} (in Python frame_offset={shift})",
             )
