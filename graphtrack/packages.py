@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -77,6 +78,8 @@ else:
 def package(name: str, extra: str) -> Any:
     """Return an optional package, imported when it is needed.
 
+    Handlers that an import adds to the root logger are removed: the log belongs to the program.
+
     Parameters
     ----------
     name : import name of the package
@@ -87,7 +90,13 @@ def package(name: str, extra: str) -> Any:
     InputError
         If it is not installed, with the extra to install.
     """
+    root = logging.getLogger()
+    handlers, level = list(root.handlers), root.level
     try:
         return import_module(name)
     except ImportError as error:
         raise InputError(f"no package {name}", f"the extra: pip install 'graphtrack[{extra}]'") from error
+    finally:
+        if root.handlers != handlers:
+            root.handlers[:] = handlers
+            root.setLevel(level)

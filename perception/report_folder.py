@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.interaction.attention import attention
-from graphtrack.interaction.groups import groups
 from graphtrack.io.atomic import atomic_path, check_place
 from graphtrack.report.background import Backdrop
 from graphtrack.report.content import Note, Picture, Section
 from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
-from graphtrack.report.interaction import Behaviour, behaviour_of
+from graphtrack.report.interaction import behaviour_found
 from graphtrack.report.methods import methods_section
 from graphtrack.report.page import tracking_report
 from graphtrack.report.plots.scene import plot_tracks
@@ -331,7 +329,7 @@ def write_page(
         observations,
         title=title,
         background=background,
-        behaviour=what_they_do(estimates),
+        behaviour=behaviour_found(estimates),
         sections=(
             Section("Frames", (words, *photos)),
             Section("What was assumed", tuple(Note(line) for line in assumptions)),
@@ -341,16 +339,6 @@ def write_page(
     if figures is not None:
         write_figures(figures, report, figures_of_people(estimates, observations))
     write_html(path, report)
-
-
-def what_they_do(estimates: TrackSet) -> Behaviour | None:
-    """Return groups and, with known heads, attention of people; None for fewer than two."""
-    if len(estimates) < 2:
-        return None
-    found = groups(estimates)
-    known = any(track.head is not None and np.isfinite(track.head).any() for track in estimates)
-    gaze = attention(estimates, groups=found) if known else None
-    return behaviour_of(estimates, groups=found, attention=gaze)
 
 
 _DESCRIPTION = (

@@ -5,9 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,24 +18,104 @@ from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.io.atomic import Paths
     from graphtrack.report.background import Backdrop
     from graphtrack.tracks.track import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
+
+
+@dataclass(frozen=True)
+class OnPage:
+    """Options of what a page shows with the tracks.
+
+    Shown with the tracks
+    ---------------------
+    places : CSV of gaze targets that are no people: name and x, y, radius, or name and polygon (x y x y …).
+    crowd : File of zones and lines given to 'graphtrack crowd', to measure density, speed and flow.
+    background : Photo or floor plan to draw under the paths, with --homography, --point-pairs or
+        --calibration, or --metres-per-pixel of a view from above.
+    background_corner : Position in metres of the lower left corner of a view from above; by default its upper
+        left corner is the origin.
+    figures : Folder for the figures of the page, and of up to 12 people, as SVG and PDF.
+    """
+
+    places: options.InputFile | None = None
+    crowd: options.InputFile | None = None
+    background: Annotated[Path | None, typer.Option(metavar="IMAGE", exists=True, dir_okay=False)] = None
+    background_corner: Annotated[str | None, typer.Option(metavar="X,Y")] = None
+    figures: Annotated[Path | None, typer.Option(metavar="FOLDER", file_okay=False)] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was given, by the name of its option."""
+        return {option_name(f.name): value for f in fields(self) if (value := getattr(self, f.name))}
+
+    def inputs(self) -> dict[str, Paths]:
+        """Return the files that are read, by option name, for `check_outputs`."""
+        return {name: path for name, path in self.given().items() if name in _PAGE_FILES}
+
+    def content(self, reading: options.CameraReading, camera: GroundCamera | None) -> dict[str, Any]:
+        """Return keywords of `graphtrack.write_report`; the image has the camera or scale of ``reading``.
+
+        Parameters
+        ----------
+        camera : of the tracks, if any; used where ``reading`` has none
+        """
+        named = {"places": self.places, "crowd": self.crowd, "figures": self.figures}
+        return {**named, "background": self._backdrop(reading, camera)}
+
+    def _backdrop(self, reading: options.CameraReading, camera: GroundCamera | None) -> Backdrop | None:
+        import numpy as np
+
+        from graphtrack.io.cameras import known_camera
+        from graphtrack.report.background import Backdrop
+
+        path, corner = self.background, self.background_corner
+        if path is None:
+            if corner is not None:
+                raise InputError("--background-corner", "--background with it")
+            return None
+        known, notes = known_camera(reading.options(), np.empty((0, 2)))
+        for note in notes:
+            emit(f"  note: {note}")
+        scale = reading.metres_per_pixel
+        if known is None and scale is not None:
+            return Backdrop.of_plan(path, scale, None if corner is None else _corner(corner))
+        if corner is not None:
+            raise InputError("--background-corner", "--metres-per-pixel with it, and no camera")
+        camera = camera if known is None else known
+        if camera is None:
+            expected = "--homography, --point-pairs or --calibration, or --metres-per-pixel"
+            raise InputError("a background without a camera or scale", expected, path=path)
+        return Backdrop.read(path, camera)
+
+
+_PAGE_FILES = ("--places", "--crowd", "--background")
+
+
+def _corner(text: str) -> tuple[float, float]:
+    numbers = [_number(part) for part in text.split(",")]
+    if len(numbers) != 2 or numbers[0] is None or numbers[1] is None:
+        raise InputError(f"--background-corner {text!r}", "x and y in metres, such as -2.5,0")
+    return numbers[0], numbers[1]
+
+
+def _number(text: str | None) -> float | None:
+    """Return the number that a text is; None for any other text."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
 
 
 def report(
     inputs: options.Inputs,
     output: options.OutputPath,
     reading: options.SceneReading,
+    page: OnPage,
     observations: list[Path] | None = None,
     groups: Path | None = None,
     attention: Path | None = None,
-    places: Path | None = None,
     forecast: Path | None = None,
-    crowd: Path | None = None,
-    background: Annotated[Path | None, typer.Option(metavar="IMAGE", exists=True, dir_okay=False)] = None,
-    background_corner: Annotated[str | None, typer.Option(metavar="X,Y")] = None,
-    figures: Annotated[Path | None, typer.Option(metavar="FOLDER", file_okay=False)] = None,
     title: str = "Tracks",
 ) -> None:
     """Write an HTML report of existing tracks, with groups, gaze and forecasts.
@@ -43,7 +123,6 @@ def report(
     Parameters
     ----------
     output : Page to write (.html).
-    figures : Folder for the figures of the page, and of up to 12 people, as SVG and PDF.
     title : At the top of the page.
 
     Shown with the tracks
@@ -51,27 +130,18 @@ def report(
     observations : Observations from which the tracks were estimated; repeat for more files.
     groups : Output of 'graphtrack groups'.
     attention : Output of 'graphtrack attention'.
-    places : File of gaze targets given to 'graphtrack attention'.
     forecast : Output of 'graphtrack forecast'.
-    crowd : File of zones and lines given to 'graphtrack crowd', to measure density, speed and flow.
-    background : Photo or floor plan to draw under the paths, with --homography, --point-pairs or
-        --calibration, or --metres-per-pixel of a view from above.
-    background_corner : Position in metres of the lower left corner of a view from above; by default its upper
-        left corner is the origin.
     """
     from graphtrack.report.page import write_report
 
-    tables = {"--groups": groups, "--attention": attention, "--places": places, "--forecast": forecast}
-    tables |= {"--crowd": crowd}
+    tables = {"--groups": groups, "--attention": attention, "--forecast": forecast, **page.inputs()}
     options.check_outputs(
-        {"--output": output},
-        {**reading.inputs(inputs), "--observations": observations, "--background": background, **tables},
+        {"--output": output}, {**reading.inputs(inputs), "--observations": observations, **tables}
     )
-    if background is None and background_corner is not None:
-        raise InputError("--background-corner", "--background with it")
-    tracks = _in_the_world(inputs, reading, background is not None)
-    under = None if background is None else _background(background, background_corner, reading, tracks.camera)
-    observed = None if not observations else reading.tracks(observations, camera_used=under is not None)
+    tracks = _in_the_world(inputs, reading, page.background is not None)
+    content = page.content(reading, tracks.camera)
+    camera_used = page.background is not None
+    observed = reading.tracks(observations, camera_used=camera_used) if observations else None
     write_report(
         output,
         tracks,
@@ -79,46 +149,13 @@ def report(
         groups=groups,
         attention=attention,
         forecast=forecast,
-        places=places,
         sensors=reading.sensors,
-        crowd=crowd,
-        background=under,
-        figures=figures,
         title=title,
+        **content,
     )
-    if figures is not None:
-        emit(f"wrote figures: {figures}")
+    if page.figures is not None:
+        emit(f"wrote figures: {page.figures}")
     emit(f"wrote {output}: {output.stat().st_size / 1e6:.1f} MB")
-
-
-def _background(
-    path: Path, corner: str | None, reading: options.SceneReading, camera: GroundCamera | None
-) -> Backdrop:
-    """Return an image with the camera or scale of the options, else the camera of the input."""
-    import numpy as np
-
-    from graphtrack.io.cameras import known_camera
-    from graphtrack.report.background import Backdrop
-
-    known, notes = known_camera(reading.options(), np.empty((0, 2)))
-    for note in notes:
-        emit(f"  note: {note}")
-    scale = reading.metres_per_pixel
-    if known is None and scale is not None:
-        return Backdrop.of_plan(path, scale, None if corner is None else _point(corner))
-    if corner is not None:
-        raise InputError("--background-corner", "--metres-per-pixel with it, and no camera")
-    if known is None and camera is None:
-        expected = "--homography, --point-pairs or --calibration, or --metres-per-pixel"
-        raise InputError("a background without a camera or scale", expected, path=path)
-    return Backdrop.read(path, camera if known is None else known)  # type: ignore[arg-type]
-
-
-def _point(text: str) -> tuple[float, float]:
-    numbers = [_number(part) for part in text.split(",")]
-    if len(numbers) != 2 or numbers[0] is None or numbers[1] is None:
-        raise InputError(f"--background-corner {text!r}", "x and y in metres, such as -2.5,0")
-    return numbers[0], numbers[1]
 
 
 def _in_the_world(inputs: list[Path], reading: options.SceneReading, camera_used: bool = False) -> TrackSet:
@@ -197,13 +234,6 @@ def _show_stream(showing: options.Showing, person: int | None, given: Mapping[st
     options.check_outputs({"--save": showing.save})
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream handles the signal and ends; then this ends
     show_stream(sys.stdin.fileno(), target, person)
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        return None
 
 
 def _boxes(

@@ -122,7 +122,7 @@ def demo(
     from graphtrack.model import Model
     from graphtrack.report.html import write_html
     from graphtrack.report.lives import pair_tracks
-    from graphtrack.report.page import observed_section, tracking_report
+    from graphtrack.report.page import run_sections, tracking_report
     from graphtrack.report.plots import plot_reliability
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
@@ -156,7 +156,7 @@ def demo(
         title="graphtrack demo",
         comparison=comparison.rows,
         calibration=comparison.calibration,
-        sections=observed_section(checked),
+        sections=run_sections(work.observed, found, work.model),
     )
     write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")

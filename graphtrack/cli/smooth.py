@@ -13,6 +13,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, emit, option_name, print_table, progress_bar, write_tracks
 from graphtrack.cli.fit import UNKNOWN, sensors_learned
+from graphtrack.cli.report import OnPage
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import check_place, destination, scratch_folder
 from graphtrack.io.source import table_in
@@ -138,6 +139,7 @@ def smooth(
     inputs: options.Inputs,
     output: options.Output,
     reading: options.SceneReading,
+    page: OnPage,
     model: options.BestModelName = None,
     engine: Annotated[str, typer.Option(metavar="<auto|chain|gtsam>")] = "auto",
     trust: options.TrustNoise = None,
@@ -150,6 +152,8 @@ def smooth(
     intervals: options.Intervals = None,
     jobs: Annotated[int | None, typer.Option(min=1)] = None,
     report: Path | None = None,
+    groups: bool = False,
+    attention: bool = False,
     stream: bool | None = None,
     batch_frames: Annotated[int, typer.Option(min=1)] = 100_000,
     cluster: Annotated[str | None, typer.Option(metavar="ADDRESS|local")] = None,
@@ -169,6 +173,11 @@ def smooth(
     jobs : Tracks in parallel: threads (chain; by default one for each processor) or processes (gtsam).
     report : Write an HTML report too.
 
+    Shown with the tracks
+    ---------------------
+    groups : Find groups, for the report.
+    attention : Estimate gaze targets, for the report.
+
     Data sets larger than memory
     ----------------------------
     stream : Read Parquet in bounded memory, track by track or, without identities, in blocks of time; default
@@ -178,9 +187,12 @@ def smooth(
     """
     options.check_outputs(
         {"--output": output, "--report": report, "--learn-sensors": learn_sensors},
-        {**reading.inputs(inputs, model), "--walkable": walkable},
+        {**reading.inputs(inputs, model), "--walkable": walkable, **page.inputs()},
         table=output,
     )
+    shown = {"--groups": groups, "--attention": attention, **page.given()}
+    if report is None:
+        options.refuse(shown, "without --report", "--report with it")
     from graphtrack.geometry.walkable import WalkableArea
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
@@ -220,7 +232,13 @@ def smooth(
             print_table(title, rows)
         emit(f"wrote {learn_sensors}")
         reading = replace(reading, sensors=learn_sensors)
-    tracks = reading.tracks(inputs, scene=chosen.scene, missed_rows=fill is not False)
+    tracks = reading.tracks(
+        inputs,
+        scene=chosen.scene,
+        missed_rows=fill is not False,
+        camera_used=page.background is not None,
+    )
+    content = page.content(reading, tracks.camera)
     work = prepare(
         tracks,
         chosen,
@@ -238,7 +256,6 @@ def smooth(
     with progress_bar(tracks.n_frames) as advance:
         found = work.solve(jobs=jobs, progress=advance, walkable=area)
     seconds = time.perf_counter() - start
-    names = tracks.names
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
@@ -258,27 +275,28 @@ def smooth(
     for result in unconverged:
         emit(f"  {tracks.person(result.track.track_id)}: not converged in {result.iterations} steps")
     if report is not None and good:
-        from graphtrack.evaluation.observed import observed_calibration
-        from graphtrack.report.html import write_html
-        from graphtrack.report.methods import methods_lines, methods_section, methods_text
-        from graphtrack.report.page import constants_section, observed_section, tracking_report
+        from graphtrack.interaction.people import read_places
+        from graphtrack.report.interaction import behaviour_found
+        from graphtrack.report.page import write_report
 
-        learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
-        words = methods_text(chosen, solver, constants=learned, summary=tracks.summary, failed=len(bad))
-        checked = observed_calibration(work.observed, good, chosen)
-        sections = (
-            *observed_section(checked),
-            *constants_section(learned, names),
-            methods_section(methods_lines(*words)),
-        )
-        page = tracking_report(
+        places = () if page.places is None else read_places(page.places)
+        done = behaviour_found(estimates, with_groups=groups, with_attention=attention, places=places)
+        if groups and (done is None or done.groups is None):
+            emit("  note: no groups: fewer than two people")
+        if attention and (done is None or done.attention is None):
+            emit("  note: no gaze: no head is known, or there is nobody and no place to look at")
+        write_report(
+            report,
             estimates,
-            tracks,
+            work.observed,
+            solutions=found,
+            model=chosen,
+            groups=None if done is None else done.groups,
+            attention=None if done is None else done.attention,
+            sensors=reading.sensors,
             title="Smoothed tracks",
-            sections=sections,
-            sensors=reading.options().sensor_scene,
+            **content,
         )
-        write_html(report, page)
         emit(f"report: {report}")
     if good:
         emit(f"wrote {output}")

@@ -136,9 +136,7 @@ def _recording(
             frame_step=max(1, round(SPEED_SECONDS * rate / 2.0)),
             speed_calculation=module.SpeedCalculation.BORDER_SINGLE_SIDED,
         )
-        cells = module.compute_individual_voronoi_polygons(
-            traj_data=thinned, walkable_area=area, cut_off=module.Cutoff(radius=CUT_OFF, quad_segments=8)
-        )
+        cells = _cells(module, thinned, area)
     except Exception as error:  # PedPy's errors have no common class before 1.3
         raise InputError(f"tracks that PedPy cannot measure ({error})", _EXPECTED) from error
     t = {
@@ -147,6 +145,25 @@ def _recording(
         for frame, at in zip(track.frame.tolist(), track.t.tolist(), strict=True)
     }
     return _Recording(module, trajectory, speed, cells, thinned, t, step)
+
+
+def _cells(module: Any, trajectory: Any, area: Any) -> pd.DataFrame:
+    """Return the Voronoi cells of people, who are moved by 0.1 mm where their cells cannot be intersected.
+
+    People in an exact pattern, such as a circle about the origin, have cells with vertices on each other's
+    edges, with which GEOS ends.
+    """
+    shapely = package("shapely", EXTRA)
+    limit = module.Cutoff(radius=CUT_OFF, quad_segments=8)
+    try:
+        return module.compute_individual_voronoi_polygons(
+            traj_data=trajectory, walkable_area=area, cut_off=limit
+        )
+    except shapely.errors.GEOSException:
+        data = trajectory.data[["id", "frame", "x", "y"]].copy()
+        data[["x", "y"]] += np.random.default_rng(0).uniform(-1e-4, 1e-4, (len(data), 2))
+        moved = module.TrajectoryData(data=data, frame_rate=trajectory.frame_rate)
+        return module.compute_individual_voronoi_polygons(traj_data=moved, walkable_area=area, cut_off=limit)
 
 
 _EXPECTED = "tracks of a steady rate without gaps, as graphtrack smooth writes them"

@@ -13,7 +13,9 @@ from graphtrack.errors import InputError
 from graphtrack.forecasting.recorded import Forecasts, read_forecasts
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.interaction.attention import Attention, frame_seconds
+from graphtrack.interaction.attention import attention as find_attention
 from graphtrack.interaction.groups import Groups
+from graphtrack.interaction.groups import groups as find_groups
 from graphtrack.interaction.people import HELD, Place, interpolated, read_places
 from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.tracks.track import TrackSet
@@ -102,6 +104,22 @@ def behaviour_of(
         forecasts = _with_frames(tracks, columns, forecast)
         _check(known, forecasts["track_id"], forecasts["frame"], "forecasts", forecast)
     return Behaviour(found, None if gaze is None else tuple(gaze), forecasts, tuple(where))
+
+
+def behaviour_found(
+    tracks: TrackSet, *, with_groups: bool = True, with_attention: bool = True, places: Sequence[Place] = ()
+) -> Behaviour | None:
+    """Find groups and gaze of estimates; None where there are neither.
+
+    Groups need two people, and gaze heads and something to look at.
+    """
+    several = len(tracks) > 1
+    faces = any(track.head is not None and np.isfinite(track.head).any() for track in tracks)
+    found = find_groups(tracks) if several and with_groups else None
+    gaze = None
+    if with_attention and faces and (several or places):
+        gaze = find_attention(tracks, places, groups=found)
+    return behaviour_of(tracks, groups=found, attention=gaze, places=places)
 
 
 def rows_of_each(track_id: NDArray[np.generic]) -> Iterator[tuple[int, NDArray[np.intp]]]:

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from graphtrack.association.associate import tracks_of
+from graphtrack.errors import InputError
 from graphtrack.evaluation.metrics import Angle, angular_error, position_rmse
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.planar import heading_half_width, speed_interval
+from graphtrack.inference.engines import Failure, Solution
 from graphtrack.io.sensors import SensorScene
+from graphtrack.model import Model
 from graphtrack.report.content import Card, Chart, DataTable, Note, Picture, Records, Report, Section, records
 from graphtrack.report.figures import figures_of_people, write_figures
 from graphtrack.report.html import write_html
@@ -28,7 +31,13 @@ from graphtrack.report.lives import (
     life_of,
     pair_tracks,
 )
-from graphtrack.report.methods import BEHAVIOUR, with_behaviour
+from graphtrack.report.methods import (
+    BEHAVIOUR,
+    methods_lines,
+    methods_section,
+    methods_text,
+    with_behaviour,
+)
 from graphtrack.report.plots import plot_errors, plot_reliability
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import KNOWN_HEADING, replay_data
@@ -152,6 +161,32 @@ def tracking_report(
         cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *extra, *cards),
         replay=replay,
         sections=(*parts, *sections),
+    )
+
+
+def run_sections(
+    observed: TrackSet, found: Sequence[Solution | Failure], model: Model
+) -> tuple[Section, ...]:
+    """Return the sections on a smoothing run: calibration on its observations, constants, and methods.
+
+    Parameters
+    ----------
+    observed : the observations that were solved, of which some may have no solution
+    found, model : of the run
+    """
+    from graphtrack.evaluation.observed import observed_calibration  # the solver takes long to import
+
+    good = [one for one in found if not isinstance(one, Failure)]
+    if not good:
+        return ()
+    learned = {one.track.track_id: one.constants for one in good if one.constants is not None}
+    words = methods_text(
+        model, good[0].engine, constants=learned, summary=observed.summary, failed=len(found) - len(good)
+    )
+    return (
+        *observed_section(observed_calibration(observed, good, model)),
+        *constants_section(learned, observed.names),
+        methods_section(methods_lines(*words)),
     )
 
 
@@ -403,6 +438,8 @@ def write_report(
     tracks: Given,
     observations: Given | None = None,
     *,
+    solutions: Sequence[Solution | Failure] = (),
+    model: Model | str | Path | None = None,
     groups: Groups | str | Path | None = None,
     attention: Sequence[Attention] | str | Path | None = None,
     forecast: Forecasts | str | Path | None = None,
@@ -421,6 +458,8 @@ def write_report(
     path : output file; an existing file is replaced
     tracks : estimates, or unmodified observations
     observations : input of the estimates, matched by ``track_id``
+    solutions, model : what `graphtrack.solve` returned for these observations, and its model (by default
+        "joint"): with them the page has calibration, learned constants and a methods paragraph
     groups : result of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
     attention : result of `graphtrack.attention`, or the file that
         ``graphtrack attention`` wrote
@@ -436,17 +475,19 @@ def write_report(
     Raises
     ------
     InputError
-        For groups, gaze and forecasts of people or frames that are not in the tracks, files that cannot be
-        read, and a path that cannot be written.
+        For groups, gaze and forecasts of people or frames that are not in the tracks, solutions without
+        observations, files that cannot be read, and a path that cannot be written.
     """
     tracks = tracks_of(tracks)
     observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
-    sections: tuple[Section, ...] = ()
+    if solutions and observations is None:
+        raise InputError("solutions without observations", "the observations that were solved")
+    sections = () if observations is None else run_sections(observations, solutions, Model.named(model))
     if crowd is not None:
         from graphtrack.report.crowd import crowd_sections  # PedPy takes seconds to import
 
-        sections = crowd_sections(tracks, crowd)
+        sections = (*crowd_sections(tracks, crowd), *sections)
     report = tracking_report(
         tracks,
         observations,

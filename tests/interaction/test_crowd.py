@@ -45,6 +45,21 @@ def test_counts_stays_speeds_and_flow_are_those_of_the_paths() -> None:
     assert found.flow["flow"] == pytest.approx(1.2, abs=0.05)  # six people in five seconds
 
 
+def test_people_in_an_exact_pattern_have_cells() -> None:
+    """Cells of people on circles about the origin meet in one point, at which GEOS cannot intersect them."""
+    angles = np.arange(8) * np.pi / 4.0
+    circles = np.concatenate([r * np.stack([np.cos(angles), np.sin(angles)], axis=1) for r in (1.0, 3.0)])
+    rows = [
+        {"track_id": one, "frame": k, "t": k / RATE, "x": x, "y": y}
+        for one, (x, y) in enumerate(circles.tolist())
+        for k in range(5)
+    ]
+    zone = Place("round", SQUARE - [5.0, 0.0])
+    found = gt.crowd_measures(gt.TrackSet.from_table(pd.DataFrame(rows)), [zone])
+    assert np.all(found.density["people"] == 16)
+    np.testing.assert_allclose(found.density["voronoi_density"], 0.16, rtol=1e-3)
+
+
 @pytest.mark.parametrize("spacing", [0.8, 1.2])
 def test_the_density_of_a_grid_is_that_of_its_cells(spacing: float) -> None:
     places = spacing * np.stack(np.meshgrid(np.arange(9), np.arange(9)), axis=-1).reshape(-1, 2)

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 from command import ran, run
-from made_up_behaviour import standing
 from onnx_files import SIDE, brightest
 from rerun_recordings import read_recording
 from street_files import write_street
@@ -29,7 +28,7 @@ from perception.drawing.people import DrawnPerson, draw_people
 from perception.images.frames import FrameSource
 from perception.observation import pipeline
 from perception.observation.tables import METHODS, associated, estimated, numbered
-from perception.report_folder import shown_by_frame, what_they_do
+from perception.report_folder import shown_by_frame
 from perception.synthetic.clips import FPS, PastedStreet, pasted_street
 
 EVERYTHING = {
@@ -339,16 +338,6 @@ def test_what_is_learned_is_learned_once(
     assert len(learned) == 2 and looked == [*range(5), *range(4, 21)]
     assert (tmp_path / "at_once.csv").read_bytes() == (tmp_path / "apart.csv").read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"camera.npz", "apart.csv", "at_once.csv"}
-
-
-def test_the_page_says_who_is_in_a_group_and_who_looks_at_whom() -> None:
-    two = standing(people=2)
-    found = what_they_do(two)
-    assert found is not None and found.groups is not None and found.attention is not None
-    assert set(found.groups.track_id.tolist()) == {1, 2} and len(found.attention) == 2
-    blind = what_they_do(two.map(lambda track: replace(track, head=None)))
-    assert blind is not None and blind.attention is None
-    assert what_they_do(standing(people=1)) is None
 
 
 def test_one_call_takes_keypoints_and_point_pairs(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from graphtrack.interaction.tables import read_attention, read_group_table
 from graphtrack.io.read_write import write_table
 from graphtrack.report.content import DataTable
 from graphtrack.report.html import packed, render_report
-from graphtrack.report.interaction import behaviour_of, by_main_group, group_spans
+from graphtrack.report.interaction import behaviour_found, behaviour_of, by_main_group, group_spans
 from graphtrack.report.page import tracking_report
 from graphtrack.report.replay import COARSE_STEP, FAN_STEPS, MAX_DOING, MAX_FANS, SURE_STEP
 from graphtrack.tracks.track import TrackSet
@@ -380,6 +380,50 @@ def here(tracks, tmp_path, monkeypatch):
 
 def graphtrack(line):
     return run(*line.split(), program="graphtrack")
+
+
+def test_what_people_do_is_found_where_there_is_enough_of_it(tracks):
+    found = behaviour_found(tracks)
+    assert found.groups is not None and {one.track_id for one in found.attention} == {
+        one.track_id for one in tracks
+    }
+    without_heads = behaviour_found(tracks.map(lambda track: replace(track, head=None)))
+    assert without_heads.groups is not None and without_heads.attention is None
+    alone = tracks.with_tracks(tracks.tracks[:1])
+    assert behaviour_found(alone) is None
+    at_places = behaviour_found(alone, places=(BAR, SCREEN))
+    assert at_places.groups is None and len(at_places.attention) == 1
+    assert behaviour_found(tracks, with_attention=False).attention is None
+
+
+def test_a_smoothed_page_has_the_run_and_what_people_do(here):
+    everything = "--groups --attention --places places.csv --crowd zones.csv --figures figures"
+    (here / "zones.csv").write_text("name,x,y,radius\nroom,0,0,4\n")
+    done = graphtrack(f"smooth tracks.csv -o smoothed.csv --report all.html {everything}")
+    assert done.returncode == 0, done.stderr
+    page = (here / "all.html").read_text(encoding="utf-8")
+    sections = (
+        "Groups",
+        "Gaze",
+        "Crowd measures",
+        "Calibration",
+        "Learned constants",
+        "Methods, for a paper",
+    )
+    for title in sections:
+        assert f">{title}<" in page, title
+    assert "F-formation" in page  # the methods paragraph has how groups were found
+    assert (here / "figures" / "reliability-on-the-observations.svg").exists()
+    noisy = gt.read("tracks.csv")
+    solutions = gt.solve(noisy)
+    estimates = noisy.with_tracks(one.track for one in solutions)
+    gt.write_report("same.html", estimates, noisy, solutions=solutions, groups=gt.groups(estimates))
+    again = (here / "same.html").read_text(encoding="utf-8")
+    assert all(f">{title}<" in again for title in ("Groups", *sections[3:]))
+    with pytest.raises(InputError, match="solutions without observations"):
+        gt.write_report("same.html", estimates, solutions=solutions)
+    done = graphtrack("smooth tracks.csv -o smoothed.csv --groups")
+    assert done.returncode == 2 and "--groups without --report" in done.stderr
 
 
 def test_the_command_writes_the_page(here):
