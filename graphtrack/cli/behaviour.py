@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -60,8 +61,8 @@ def groups(
     )
     check_csv(output)
     chosen = None if parameters is None else GroupParameters.load(parameters)
-    labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
+    labels = None if truth is None else read_quietly(truth, tracks.ids)
     with input_warnings_as_notes():
         found = find(tracks, chosen, online=online)
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
@@ -132,12 +133,12 @@ def check_csv(output: Path) -> None:
         raise InputError(f"the file name {output.name!r}", "one of the endings .csv, .csv.gz", path=output)
 
 
-def read_quietly(path: Path) -> GroupLabels:
-    """Read labelled groups; warnings become notes."""
+def read_quietly(path: Path, ids: Mapping[str, int]) -> GroupLabels:
+    """Read labelled groups of people with these identities; warnings become notes."""
     from graphtrack.interaction.group_files import read_groups
 
     with input_warnings_as_notes():
-        return read_groups(path)
+        return read_groups(path, ids)
 
 
 def show(found: GroupScore, json_path: Path | None) -> None:
@@ -149,13 +150,13 @@ def show(found: GroupScore, json_path: Path | None) -> None:
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
     """Run `graphtrack score` on a table of groups."""
     from graphtrack.interaction.scores import score_groups
-    from graphtrack.interaction.tables import read_group_table
+    from graphtrack.interaction.tables import labelled_ids, read_group_table
 
     if len(inputs) != 1 or len(truth) != 1:
         raise InputError(f"{len(inputs)} tables of groups, {len(truth)} truths", "one of each")
     options.check_outputs({"--json": json_path}, {"the input": inputs, "--truth": truth})
     found = read_group_table(inputs[0])
-    true = read_quietly(truth[0]).labels(found.frame, found.t, found.track_id)
+    true = read_quietly(truth[0], labelled_ids(inputs[0])).labels(found.frame, found.t, found.track_id)
     show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
 
@@ -204,8 +205,8 @@ def attention(
     check_csv(output)
     known = [] if places is None else read_places(places)
     chosen = AttentionParameters() if parameters is None else AttentionParameters.load(parameters)
-    labels = None if truth is None else read_gaze(truth)
     tracks = estimated(reading.tracks(inputs), model)
+    labels = None if truth is None else read_gaze(truth, tracks.ids)
     with input_warnings_as_notes():
         found = find(tracks, known, chosen, online=online)
     score = None if labels is None else score_gaze(found, labels)

@@ -83,9 +83,10 @@ def compare_groups(
     )
     chosen = None if parameters is None else GroupParameters.load(parameters)
     with input_warnings_as_notes():
+        tracks = reading.tracks(list(inputs))
         found = compare(
-            reading.tracks(list(inputs)),
-            read_groups(labels),
+            tracks,
+            read_groups(labels, tracks.ids),
             list(methods) or list(registry),
             parameters=chosen,
         )

@@ -238,9 +238,9 @@ def _labelled(
     with console.status("learning"), quiet_input_warnings():
         found: GroupFit | AttentionFit
         if what == "groups":
-            found = fit_groups(tracks, read_quietly(truth), hold_out=held)
+            found = fit_groups(tracks, read_quietly(truth, tracks.ids), hold_out=held)
         else:
-            found = fit_attention(tracks, read_gaze(truth), hold_out=held)
+            found = fit_attention(tracks, read_gaze(truth, tracks.ids), hold_out=held)
     found.parameters.save(output)
     title, counted_by = ("Groups", "frame") if what == "groups" else ("Gaze", "label")
     parts = {"training data": found.learned_from, "held-out data": found.held_out}

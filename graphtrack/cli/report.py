@@ -175,7 +175,7 @@ def view(
     boxes: options.InputFile | None = None,
     groups: Annotated[str | None, typer.Option(metavar="FILE|find")] = None,
     forecast: Annotated[str | None, typer.Option(metavar="FILE|SECONDS")] = None,
-    person: Annotated[int | None, typer.Option(metavar="ID")] = None,
+    person: Annotated[str | None, typer.Option(metavar="ID")] = None,
 ) -> None:
     """Show tracks in Rerun: ground, video and time series of one person on one time line.
 
@@ -188,15 +188,16 @@ def view(
         input, if any.
     groups : Output of 'graphtrack groups', or find: detect them now.
     forecast : Output of 'graphtrack forecast', or a horizon in seconds: predict now.
-    person : Person whose time series are drawn; by default the person with most rows.
+    person : Id or name of the person whose time series are drawn; by default the one with most rows.
     """
     from graphtrack.forecasting.recorded import forecast as predict
     from graphtrack.interaction.groups import groups as find_groups
     from graphtrack.viewer.shown import view as show
 
+    chosen = int(person) if person is not None and person.isdecimal() else person
     if [str(path) for path in inputs] == ["-"]:
         given = {"video": video, "boxes": boxes, "groups": groups, "forecast": forecast, **reading.given()}
-        _show_stream(showing, person, {option_name(name): value for name, value in given.items()})
+        _show_stream(showing, chosen, {option_name(name): value for name, value in given.items()})
         return
     showing.target()
     ahead = _number(forecast)
@@ -217,7 +218,7 @@ def view(
         else predict(tracks, horizon=horizon[0], step=horizon[1]),
         video=video,
         boxes=_boxes(inputs, boxes, reading, video),
-        person=person,
+        person=chosen,
         sensors=reading.sensors,
     )
     if showing.save is not None:
@@ -225,7 +226,7 @@ def view(
         emit(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}")
 
 
-def _show_stream(showing: options.Showing, person: int | None, given: Mapping[str, object]) -> None:
+def _show_stream(showing: options.Showing, person: int | str | None, given: Mapping[str, object]) -> None:
     """Show answers on standard input."""
     from graphtrack.viewer.live import show_stream
 

@@ -115,10 +115,10 @@ class AngleFit:
             side = "left" if degrees > 0.0 else "right"
             return f"people are seen turned {abs(degrees):.0f}° to the {side} of where they go"
         people = "one person" if self.tracks == 1 else f"{self.tracks} people"
-        return (
-            f"the angles are {self.relation} against the motion of {people}: they fit "
-            f"--angles '{self.convention}', and were read {self.current}"
-        )
+        found = f"the angles are {self.relation} against the motion of {people}"
+        if self.is_mirrored or isinstance(self.convention.zero, str):
+            return f"{found}: they fit --angles '{self.convention}', and were read {self.current}"
+        return f"{found}: these people go sideways, or fit --angles '{self.convention}', which is unusual"
 
 
 def angle_fit(tracks: TrackSet, name: str) -> AngleFit | None:

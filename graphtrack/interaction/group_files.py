@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,7 +16,7 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.formats.native import open_table
 from graphtrack.io.source import Source
-from graphtrack.tracks.cells import integers
+from graphtrack.tracks.cells import integers, known_ids
 from graphtrack.tracks.validation import LARGEST_SECONDS, parse_number
 
 IntArray = NDArray[np.int64]
@@ -138,11 +139,15 @@ def _names_groups(header: str) -> bool:
     return set(_NEEDED) <= {cell.strip().strip('"') for cell in header.split(",")}
 
 
-def read_groups(path: str | Path) -> GroupLabels:
+def read_groups(path: str | Path, ids: Mapping[str, int] | None = None) -> GroupLabels:
     """Read labelled groups; the format is recognised.
 
     SALSA: a line for each time, ``t < ID … > < ID … >``. ETH: a line for each group, the ids of its members.
     Table: CSV with ``frame``, ``track_id`` and ``group`` (−1: alone).
+
+    Parameters
+    ----------
+    ids : identity → track id, of tracks whose file has text identities (`TrackSet.ids`)
 
     Raises
     ------
@@ -156,11 +161,11 @@ def read_groups(path: str | Path) -> GroupLabels:
         raise source.fail("no rows", "groups")
     first = lines[0][1]
     if _names_groups(first):
-        return _read_table(source.path)
-    return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
+        return _read_table(source.path, ids or {})
+    return _read_salsa(source, lines, ids or {}) if "<" in first else _read_lines(source, lines, ids or {})
 
 
-def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+def _read_salsa(source: Source, lines: list[tuple[int, str]], ids: Mapping[str, int]) -> GroupLabels:
     steps: list[GroupStep] = []
     twice: set[int] = set()
     for number, line in lines:
@@ -174,7 +179,7 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
         if re.sub(r"<[^<>]*>", "", rest).strip():
             raise source.fail(repr(rest.strip()[:40]), "groups such as < ID ID >", line=number)
         # The published annotation has some people in two groups at once: the larger one counts.
-        groups = [_group(source, number, part.split()) for part in parts]
+        groups = [_group(source, number, part.split(), ids) for part in parts]
         kept: list[frozenset[int]] = []
         known: set[int] = set()
         for group in sorted(groups, key=len, reverse=True):
@@ -193,11 +198,11 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     return GroupLabels("t", tuple(steps), source.path)
 
 
-def _read_lines(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+def _read_lines(source: Source, lines: list[tuple[int, str]], ids: Mapping[str, int]) -> GroupLabels:
     groups: list[frozenset[int]] = []
     listed: set[int] = set()
     for number, line in lines:
-        group = _group(source, number, line.replace(",", " ").split())
+        group = _group(source, number, line.replace(",", " ").split(), ids)
         twice = listed & group
         if twice:
             raise source.fail(f"person {min(twice)} in a second group", "each person in one", line=number)
@@ -206,21 +211,27 @@ def _read_lines(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     return GroupLabels("always", (GroupStep(0.0, tuple(groups), lines[0][0]),), source.path)
 
 
-def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
+def _group(source: Source, line: int, cells: list[str], ids: Mapping[str, int]) -> frozenset[int]:
     group: set[int] = set()
     for cell in cells:
-        match = _ID.fullmatch(cell)
-        if match is None:
-            raise source.fail(repr(cell[:40]), "the id of a person", line=line)
-        if int(match[1]) in group:
-            raise source.fail(f"person {match[1]} twice in a group", "each person once", line=line)
-        group.add(int(match[1]))
+        person = ids.get(cell)
+        if person is None:
+            match = _ID.fullmatch(cell)
+            if match is None:
+                raise source.fail(repr(cell[:40]), "the id of a person", line=line)
+            person = int(match[1])
+        if person in group:
+            raise source.fail(f"person {cell} twice in a group", "each person once", line=line)
+        group.add(person)
     return frozenset(group)
 
 
-def _read_table(path: Path) -> GroupLabels:
+def _read_table(path: Path, ids: Mapping[str, int]) -> GroupLabels:
     cells = open_table(path, _NEEDED)
-    columns = [integers(cells, name).tolist() for name in _NEEDED]
+    columns = [
+        (known_ids(cells, name, ids) if name == "track_id" else integers(cells, name)).tolist()
+        for name in _NEEDED
+    ]
     frames: dict[int, dict[int, int]] = {}
     line_of: dict[int, int] = {}
     for row, (frame, person, group) in enumerate(zip(*columns, strict=True)):

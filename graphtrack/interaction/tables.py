@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ from graphtrack.interaction.group_files import UNLABELLED
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.io.formats.native import open_table
 from graphtrack.limits import MemoryLimit
-from graphtrack.tracks.cells import Cells, integers, numbers
+from graphtrack.tracks.cells import Cells, integers, known_ids, numbers
 from graphtrack.tracks.validation import LARGEST_ID, parse_number
 
 IntArray = NDArray[np.int64]
 
 NOBODY = -1
 """Gaze target: nobody."""
+
+_UNKNOWN = -LARGEST_ID
+"""Target of rows without one."""
 
 _TARGETS = ("person", "place", "nothing")
 
@@ -76,6 +79,16 @@ def read_group_table(path: str | Path) -> Groups:
     return Groups(*(values[order] for values in columns))
 
 
+def labelled_ids(path: Path) -> dict[str, int]:
+    """Return identity → track id of a table of ``graphtrack groups`` whose people have text identities."""
+    cells = open_table(path, ("track_id",))
+    if "label" not in cells.columns:
+        return {}
+    names = [str(cell or "").strip() for cell in cells.columns["label"]]
+    people = zip(names, integers(cells, "track_id").tolist(), strict=True)
+    return {name: track_id for name, track_id in people if name}
+
+
 @dataclass(frozen=True, eq=False)
 class LookLabels:
     """Labelled gaze targets: (n,) rows of a person in a frame.
@@ -101,17 +114,19 @@ class LookLabels:
         return found
 
 
-def read_gaze(path: str | Path) -> LookLabels:
+def read_gaze(path: str | Path, ids: Mapping[str, int] | None = None) -> LookLabels:
     """Read gaze labels: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
+
+    ``ids``: identity → track id, of tracks whose file has text identities (`TrackSet.ids`).
 
     Rows with an empty target are unlabelled. Raise InputError with line and column: an invalid integer, a
     person as their own target, a person twice in a frame.
     """
     cells = open_table(path, ("frame", "track_id", "target"))
-    frame, person = integers(cells, "frame"), integers(cells, "track_id")
+    frame, person = integers(cells, "frame"), known_ids(cells, "track_id", ids)
     _check_once(cells, frame, person)
-    has_number = np.isfinite(numbers(cells, "target"))
-    target = integers(cells, "target", UNLABELLED)
+    target = known_ids(cells, "target", ids, _UNKNOWN)
+    has_number = target != _UNKNOWN
     cells.refuse(has_number & (target < NOBODY), "target", "an id, or -1 for nobody")
     cells.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))

@@ -388,6 +388,18 @@ def integers(cells: Cells, name: str, missing: int | None = None) -> NDArray[np.
     return found.astype(np.int64)
 
 
+def known_ids(
+    cells: Cells, name: str, ids: Mapping[str, int] | None, missing: int | None = None
+) -> NDArray[np.int64]:
+    """Return a column of people as (n,) track ids: an identity of ``ids``, or a whole number."""
+    if ids:
+        given = cells.columns[name].tolist()
+        numbered = [str(ids.get(str(cell).strip(), cell)) for cell in given]
+        columns = {**cells.columns, name: np.array(numbered, dtype=object)}
+        cells = replace(cells, columns=columns, floats=lambda _: None)
+    return integers(cells, name, missing)
+
+
 def _parsed(cells: Cells, name: str, values: NDArray[Any]) -> FloatArray:
     found = np.empty(len(values))
     for row, cell in enumerate(values.tolist()):

@@ -531,18 +531,19 @@ class TrackSet:
         """Return a person as the file names it, for messages: ``track 7``, or ``track anna``."""
         return name_of(track_id, {} if self.as_read is None else self.as_read.names)
 
-    def by_id(self, track_id: int) -> Track:
-        """Return the track of an id.
+    def by_id(self, track_id: int | str) -> Track:
+        """Return the track of an id, or of an identity among `ids`.
 
         Raises
         ------
         UnknownTrackError
             If no track has it; a `KeyError` too.
         """
+        number = self.ids.get(track_id) if isinstance(track_id, str) else track_id
         for track in self.tracks:
-            if track.track_id == track_id:
+            if track.track_id == number:
                 return track
-        known = listed(track.track_id for track in self.tracks)
+        known = listed(self.ids if isinstance(track_id, str) else [track.track_id for track in self.tracks])
         raise UnknownTrackError(f"no track {track_id!r}", f"one of the ids {known}" if known else "a track")
 
     @property
@@ -552,6 +553,11 @@ class TrackSet:
         if (self.as_read is None or not self.as_read.names) and all(labels) and len({*labels}) == len(labels):
             return {track.track_id: track.label for track in self.tracks}
         return identity_names([track.track_id for track in self.tracks], self.as_read)
+
+    @property
+    def ids(self) -> dict[str, int]:
+        """Name of a person, as of `names`, → track id."""
+        return {name: track_id for track_id, name in self.names.items()}
 
     @property
     def n_frames(self) -> int:

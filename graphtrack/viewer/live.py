@@ -39,11 +39,11 @@ class LiveView:
     Parameters
     ----------
     target : destination of the view
-    person : person whose time series are drawn; None: the first to appear
+    person : id or name of the person whose time series are drawn; None: the first to appear
     """
 
-    def __init__(self, target: Target, person: int | None = None) -> None:
-        self._target, self._person = target, person
+    def __init__(self, target: Target, person: int | str | None = None) -> None:
+        self._target = target
         self._stack = ExitStack()
         self._to: LoggedEntities | None = None
         self._people: LoggedPeople
@@ -53,6 +53,7 @@ class LiveView:
         self._held: list[Row] = []
         self._numbers: dict[str, int] = {}
         self._names: dict[int, str] = {}
+        self._person = self._number_of(person) if isinstance(person, str) else person
 
     def show(self, answers: Iterable[Row]) -> None:
         """Show some answers; answers to refused rows are skipped."""
@@ -93,9 +94,12 @@ class LiveView:
         identity = row.get("track_id")
         if not isinstance(identity, str):
             return row
+        return {**row, "track_id": self._number_of(identity)}
+
+    def _number_of(self, identity: str) -> int:
         number = self._numbers.setdefault(identity, len(self._numbers))
         self._names[number] = identity
-        return {**row, "track_id": number}
+        return number
 
     def _open(self, known: list[Row]) -> None:
         if self._to is not None:
@@ -221,13 +225,13 @@ def _groups(rows: list[Row]) -> Groups:
     )
 
 
-def show_stream(source: int, target: Target, person: int | None = None) -> None:
+def show_stream(source: int, target: Target, person: int | str | None = None) -> None:
     """Show NDJSON answers from a file descriptor until its end.
 
     Parameters
     ----------
     target : destination of the view
-    person : person whose time series are drawn; None: the first to appear
+    person : id or name of the person whose time series are drawn; None: the first to appear
     """
     view, rest = LiveView(target, person), b""
     while data := os.read(source, 1 << 20):

@@ -40,7 +40,7 @@ def view(
     forecast: Forecasts | str | Path | None = None,
     video: str | Path | None = None,
     boxes: PersonBoxes | None = None,
-    person: int | None = None,
+    person: int | str | None = None,
     sensors: SensorsLike | None = None,
 ) -> None:
     """Show tracks in Rerun: the ground from above, the video, and series of one person, on one time line.
@@ -56,7 +56,7 @@ def view(
     forecast : result of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
     video : video, or folder of images, with the frame numbers of the tracks
     boxes : boxes of people in its frames
-    person : person whose time series are drawn; by default the person with most rows
+    person : id or name of the person whose time series are drawn; by default the person with most rows
     sensors : descriptions of the sensors, or their file, with fields of view; others are learned
 
     Raises
@@ -73,8 +73,7 @@ def view(
     placed = [track for track in tracks if finite_rows(track.position).any()]
     if not placed:
         raise InputError("no position", "tracks with positions in metres")
-    chosen = person if person is not None else max(placed, key=len).track_id
-    tracks.by_id(chosen)  # raises an error that lists the ids
+    chosen = (max(placed, key=len) if person is None else tracks.by_id(person)).track_id
     given = behaviour_of(tracks, groups=groups, forecast=forecast)
     frames = None if video is None else open_frames(Path(video))
     where = Extent.of(np.concatenate([track.position for track in placed]))

@@ -240,3 +240,12 @@ def test_the_shell_proposes_and_corrects(tmp_path: Path) -> None:
     for one, other, wrong in zip(learned, right, checked, strict=True):
         np.testing.assert_allclose(difference(one.head, other.head), 0.0, atol=1e-6)
         assert np.degrees(np.abs(difference(wrong.head, other.head))).max() > 60.0
+
+
+def test_a_rotation_that_is_no_convention_may_be_how_people_walk() -> None:
+    people = walkers(3, 12).map(lambda track: turned(track, 70.0))
+    found = angle_fit(people, "body")
+    assert found is not None and found.is_wrong and not isinstance(found.convention.zero, str)
+    assert "go sideways" in found.described()
+    quarter = angle_fit(walkers(3, 12).map(lambda track: turned(track, 90.0)), "body")
+    assert quarter is not None and f"they fit --angles '{quarter.convention}'" in quarter.described()
