@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -235,9 +235,30 @@ def observed_section(calibration: Records) -> tuple[Section, ...]:
         "or was learned. On the grey line, 95 % of the observations lie in the intervals of 95 %: the "
         "uncertainties are calibrated. No truth is needed; errors that all observations share do not show."
     )
-    table = [{k: v for k, v in row.items() if k not in ("method", "confidence", "coverage")} for row in rows]
+    table = _reliability(rows, without=("method",))
     shown = Picture(words, plot_reliability(rows, "observations"))
     return (Section("Calibration", (note, shown, DataTable.of("Reliability on the observations", table))),)
+
+
+_RELIABILITY = {
+    "method": "method",
+    "group": "group",
+    "model": "model",
+    "quantity": "quantity",
+    "nees": "NEES / dof",
+    "nees_error": "± (95 %)",
+    **{f"coverage_{level}": f"inside {level} %" for level in (50, 90, 95)},
+    "tracks": "tracks",
+}
+"""Column of `graphtrack.evaluation.metrics.calibration_rows` → its heading."""
+
+
+def _reliability(rows: Records, without: Collection[str] = ()) -> list[dict[str, Any]]:
+    """Return rows of calibration with headings for people."""
+    return [
+        {heading: row[name] for name, heading in _RELIABILITY.items() if name in row and name not in without}
+        for row in records(rows)
+    ]
 
 
 def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
@@ -369,11 +390,10 @@ def _methods_section(comparison: Records | None, calibration: Records | None) ->
         items += [Picture(words, plot_errors(comparison)), table]
     if calibration is not None:
         words = "Reliability: observed coverage of intervals against their nominal probability"
-        rows = [
-            {k: v for k, v in row.items() if k not in ("confidence", "coverage")}
-            for row in records(calibration)
+        items += [
+            Picture(words, plot_reliability(calibration)),
+            DataTable.of("Reliability", _reliability(calibration)),
         ]
-        items += [Picture(words, plot_reliability(calibration)), DataTable.of("Reliability", rows)]
     return Section("Methods", tuple(items))
 
 

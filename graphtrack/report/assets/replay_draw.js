@@ -35,7 +35,8 @@ function drawGrid(ctx, view, theme) {
   for (let k = Math.ceil((view.x - halfWidth) / step); k * step <= view.x + halfWidth; k++) {
     const sx = Math.round(toScreen(view, k * step, 0)[0]) + 0.5;
     ctx.moveTo(sx, 0); ctx.lineTo(sx, view.height);
-    ctx.fillText(metres(k * step, digits) + " m", sx + 3, view.height - 5);
+    const label = metres(k * step, digits) + " m";
+    if (sx + 3 + ctx.measureText(label).width < view.width) ctx.fillText(label, sx + 3, view.height - 5);
   }
   for (let k = Math.ceil((view.y - halfHeight) / step); k * step <= view.y + halfHeight; k++) {
     const sy = Math.round(toScreen(view, 0, k * step)[1]) + 0.5;
