@@ -68,10 +68,9 @@ def velocities_of(
     frames, count = np.unique(frame, return_counts=True)
     after = np.minimum(np.searchsorted(frames, frames + steps), len(frames) - 1)
     later = np.where(frames[after] == frames + steps, count[after], 0)  # detections so many steps later
-    centres = _centres()
-    prior = _of_walkers(centres)
+    prior = _of_walkers()
     if not later.any():
-        return _packed(prior, centres @ axes, rest_std)
+        return _packed(prior, axes, rest_std)
     every = max(1, len(frame) // _MOST_DETECTIONS)
     chosen = (frame - frame[0]) % every == 0
     counted = count * ((frames - frames[0]) % every == 0)
@@ -82,49 +81,49 @@ def velocities_of(
     pairs, own = float(counted @ later), float(np.minimum(counted, later).sum())
     # A person's pairs are no more than the detections of the frame with fewer.
     most, across = _PRIOR_PEOPLE + own, pairs - own
-    middle = _BIN * (np.arange(_BINS) + 0.5 * (1 - _BINS))
-    shape = _shape(np.asarray(middle, float), centres, (0.5 * _SPACING) ** 2 + 2.0 * (noise / seconds) ** 2)
+    shape = _shape((0.5 * _SPACING) ** 2 + 2.0 * (noise / seconds) ** 2)
     # The other person has moved too.
-    background = ndimage.gaussian_filter(within, _MOVED / _BIN, mode="nearest").ravel()
+    background = ndimage.gaussian_filter(within, _MOVED / _BIN, mode="nearest")
     background = background * max(across, 0.0) / max(of_two, 1.0) + 1e-9
     weight, total, amount = prior, most, 1.0
     for _ in range(_REPEATS):
-        ratio = found.ravel() / (total * (shape @ weight) + amount * background)
-        each = total * weight * (ratio @ shape) + _PRIOR_PEOPLE * prior
-        amount *= float(ratio @ background) / float(background.sum())
+        ratio = found / (total * (shape @ weight @ shape.T) + amount * background)
+        each = total * weight * (shape.T @ ratio @ shape) + _PRIOR_PEOPLE * prior
+        amount *= float((ratio * background).sum()) / float(background.sum())
         weight, total = each / each.sum(), min(float(each.sum()), most)
-    return _packed(weight, centres @ axes, rest_std)
+    return _packed(weight, axes, rest_std)
 
 
 def _centres() -> FloatArray:
-    axis = np.arange(-_FASTEST, _FASTEST + 0.5 * _SPACING, _SPACING)
-    centres = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    return centres[np.hypot(*centres.T) <= _FASTEST + 1e-9]
+    """Coordinates (k,) of the components' centres, which lie on a square grid (k, k)."""
+    return np.arange(-_FASTEST, _FASTEST + 0.5 * _SPACING, _SPACING)
 
 
-def _of_walkers(centres: FloatArray) -> FloatArray:
-    """Weights (m,) of a scene that nobody has watched; see `WALKING`."""
-    off = np.hypot(*centres.T)[:, None] - WALKING["speed"]
-    each = np.exp(-0.5 * off**2 / (WALKING["std"] ** 2 + (0.5 * _SPACING) ** 2))
-    found: FloatArray = (each / each.sum(axis=0)) @ WALKING["share"]
+def _of_walkers() -> FloatArray:
+    """Weights (k, k) of a scene that nobody has watched, 0 beyond `_FASTEST`; see `WALKING`."""
+    speed = np.hypot(*np.meshgrid(_centres(), _centres(), indexing="ij"))[..., None]
+    each = np.exp(-0.5 * (speed - WALKING["speed"]) ** 2 / (WALKING["std"] ** 2 + (0.5 * _SPACING) ** 2))
+    each *= speed <= _FASTEST + 1e-9
+    found: FloatArray = (each / each.sum(axis=(0, 1))) @ WALKING["share"]
     return found
 
 
-def _packed(weight: FloatArray, centres: FloatArray, rest_std: float) -> NDArray[np.void]:
+def _packed(weight: FloatArray, axes: FloatArray, rest_std: float) -> NDArray[np.void]:
     kept = weight > _LIGHTEST
+    centres = _centres()[np.argwhere(kept)] @ axes
     weight = (1.0 - _REST) * weight[kept] / weight[kept].sum()
     found = np.empty(len(weight) + 1, VELOCITY)
     found["weight"][:-1], found["variance"] = weight, (0.5 * _SPACING) ** 2
-    found["vx"][:-1], found["vy"][:-1] = centres[kept].T
+    found["vx"][:-1], found["vy"][:-1] = centres.T
     found[-1] = _REST, 0.0, 0.0, rest_std**2
     return found
 
 
-def _shape(middle: FloatArray, centres: FloatArray, variance: float) -> FloatArray:
-    """Probability of each bin (bins², m) given each component."""
-    along = np.exp(-0.5 * (middle[:, None, None] - centres.T) ** 2 / variance)
-    x, y = np.moveaxis(along * _BIN / np.sqrt(2.0 * np.pi * variance), 1, 0)
-    found: FloatArray = (x[:, None] * y[None, :]).reshape(-1, len(centres))
+def _shape(variance: float) -> FloatArray:
+    """Probability (bins, k) of each bin along an axis given each coordinate of a component's centre."""
+    middle = _BIN * (np.arange(_BINS) + 0.5 * (1 - _BINS))
+    off = middle[:, None] - _centres()
+    found: FloatArray = np.exp(-0.5 * off**2 / variance) * _BIN / np.sqrt(2.0 * np.pi * variance)
     return found
 
 
