@@ -141,7 +141,7 @@ WRONG = {
     "an option of tracking that is none": "gt.track_online('x.csv', nonsense=3)",
     "an option of an adapter that is none": "gt.from_supervision([], fps=25, nonsense=3)",
     "a label in brackets": "gt.read('x.csv')['anna']",
-    "a text for a number": "gt.read('x.csv').by_id('7')",
+    "half a number": "gt.read('x.csv').by_id(7.5)",
 }
 RIGHT = """
 import graphtrack as gt

@@ -36,6 +36,7 @@ def test_it_fits_on_a_page():
     assert len(README.splitlines()) <= LONGEST
 
 
+@pytest.mark.slow
 def test_the_python_block_runs_and_writes_what_it_says(names):
     assert len(names["smoothed"]) == 3 and np.isfinite(names["smoothed"][0].std("x")).all()
     assert "smoothed.csv" in names["files"]
@@ -115,6 +116,7 @@ def test_the_tutorial_ends_with_estimates_in_the_gap_and_a_picture(cwd):
     assert (cwd / "report.html").exists() and (cwd / "smoothed.csv").exists()
 
 
+@pytest.mark.slow
 def test_the_term_of_ones_own_has_factors_of_its_density(cwd):
     names = {}
     run(blocks("docs/how-to/own-term.md"), names, slow=False)

@@ -98,6 +98,7 @@ def broken(page: Path, site: Path) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_every_link_of_the_site_leads_somewhere(site):
     """Those of notebooks, and of pages that are generated, too."""
     pages = sorted(site.resolve().rglob("*.html"))
@@ -172,6 +173,7 @@ def test_pages_have_the_tables_of_the_code(site):
     assert "<td><code>/v1/streams/NAME</code></td>" in service and "[addresses" not in service
 
 
+@pytest.mark.slow
 def test_pages_load_nothing_from_elsewhere(site):
     pages = sorted(site.rglob("index.html"))
     assert len(pages) > 50

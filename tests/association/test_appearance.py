@@ -158,6 +158,7 @@ def test_missing_descriptors_and_one_that_comes_late_are_fine() -> None:
     assert association.descriptor_size == looks.shape[1]
 
 
+@pytest.mark.slow
 def test_a_detector_that_is_surer_of_people_helps() -> None:
     blind, seen = [], []
     for seed in range(1):
@@ -169,6 +170,7 @@ def test_a_detector_that_is_surer_of_people_helps() -> None:
     assert np.mean(seen) > np.mean(blind) + 0.1
 
 
+@pytest.mark.slow
 def test_it_goes_on_with_looks_and_scores_to_the_last_bit() -> None:
     rng = np.random.default_rng(4)
     detections, whose = street(rng, people=10, frames=50, miss=0.1, false=1.0)
@@ -208,6 +210,7 @@ def test_descriptors_of_another_size_and_bad_scores_change_nothing() -> None:
     assert json.dumps(tracker.state()) == before and len(tracker.update(1.2, [seen(3)])) == 1
 
 
+@pytest.mark.slow
 def test_a_table_with_looks_is_tracked_as_its_arrays_are() -> None:
     rng = np.random.default_rng(5)
     detections, whose = met_behind_a_pillar(rng, people=5)

@@ -20,6 +20,7 @@ def table_of(detections: Detections) -> pd.DataFrame:
     return pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
 
 
+@pytest.mark.slow
 def test_noise_misses_and_false_detections_leave_most_identities() -> None:
     scores = []
     for seed in range(2):
@@ -39,6 +40,7 @@ def test_nobody_has_two_detections_in_a_frame_and_the_evidence_is_positive() -> 
     assert ((found.probability >= 0.0) & (found.probability <= 1.0 + 1e-9)).all()
 
 
+@pytest.mark.slow
 def test_the_order_of_a_frames_detections_has_no_effect() -> None:
     detections, _ = street(np.random.default_rng(6), people=8, frames=40, miss=0.1, false=1.0)
     shuffled = np.random.default_rng(0).permutation(len(detections))
@@ -105,6 +107,7 @@ def test_a_table_without_identities_becomes_tracks_with_gaps_marked(tmp_path: Pa
     assert {"identity_p", "observed"} <= set(columns)
 
 
+@pytest.mark.slow
 def test_identities_are_forgotten_repaired_or_asked_for_on_request_alone(tmp_path: Path) -> None:
     detections, whose = street(np.random.default_rng(11), people=4)
     table = table_of(detections).assign(track_id=1000 + whose)

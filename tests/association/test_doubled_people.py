@@ -8,6 +8,7 @@ import graphtrack as gt
 FPS, SECONDS, PEOPLE = 25.0, 10.0, 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_boxes_that_end_in_two_ways_make_no_second_person(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -19,6 +19,7 @@ from graphtrack.tracks.scene import SceneParameters
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 
 
+@pytest.mark.slow
 def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
     once, last = [], []
     for seed in range(2):
@@ -29,6 +30,7 @@ def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
     assert np.mean(once) > 0.75 and np.mean(last) > max(0.9, np.mean(once))
 
 
+@pytest.mark.slow
 def test_nobody_is_twice_in_a_frame_and_the_future_changes_nothing_said() -> None:
     detections, _ = street(np.random.default_rng(3), miss=0.1, false=1.0)
     _, _, decisions = run_online(detections)
@@ -120,6 +122,7 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     assert refused.returncode == 2 and "associate" in refused.stderr
 
 
+@pytest.mark.slow
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:
     rng, density, sizes = np.random.default_rng(0), [], []
     start, velocity = 10.0 * rng.uniform(-1.0, 1.0, (10, 2)), rng.normal(0.0, 1.0, (10, 2))

@@ -112,6 +112,7 @@ def test_people_of_two_sensors_are_found_once(seed) -> None:
     assert all((np.diff(track.t) >= 0.0).all() for track in online)
 
 
+@pytest.mark.slow
 def test_trackers_of_sensors_are_joined() -> None:
     table = walks(3)
     own = table.assign(track_id=table.input_true.astype(int) + 1)
@@ -121,6 +122,7 @@ def test_trackers_of_sensors_are_joined() -> None:
     assert purity(found) == (pytest.approx(1.0, abs=0.02), 5)
 
 
+@pytest.mark.slow
 def test_a_switch_of_one_tracker_is_mended_by_the_other() -> None:
     table = walks(4)
     own = table.assign(track_id=table.input_true.astype(int) + 1)
@@ -219,6 +221,7 @@ def test_a_part_of_a_track_is_joined_too() -> None:
     assert foreign < 0.3 * (middle & (true == 1)).sum()
 
 
+@pytest.mark.slow
 def test_an_update_is_a_scan_of_one_sensor() -> None:
     tracker = gt.OnlineTracker("position")
     for k in range(20):
@@ -237,6 +240,7 @@ def test_an_update_is_a_scan_of_one_sensor() -> None:
         tracker.update(2.7, mixed)
 
 
+@pytest.mark.slow
 def test_a_saved_association_of_sensors_goes_on_to_the_same_bits() -> None:
     table = walks(6, people=3, seconds=5.0)
     whole, stopped = OnlineAssociation(), OnlineAssociation()

@@ -199,6 +199,7 @@ def crowded(seed: int) -> tuple[Detections, np.ndarray]:
     return street(np.random.default_rng(seed), people=14, frames=80, miss=0.15, false=1.0)
 
 
+@pytest.mark.slow
 def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
     detections, _ = crowded(0)
     free = associate_detections(detections).scene
@@ -210,6 +211,7 @@ def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
         assert found.occlusion_probability != gt.SceneParameters().occlusion_probability
 
 
+@pytest.mark.slow
 def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
     """Ten seconds of further recordings of a place, with and without parameters learned from one of them."""
     taught = associate_detections(crowded(10)[0]).scene
@@ -225,6 +227,7 @@ def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
     assert given >= without
 
 
+@pytest.mark.slow
 def test_a_model_file_says_it_to_every_command(tmp_path: Path) -> None:
     detections, _ = street(np.random.default_rng(1), people=8, frames=40, miss=0.1)
     x, y = detections.position.T
@@ -325,6 +328,7 @@ def test_what_is_learned_online_is_the_simulator(hz: float, people: int, seconds
     assert scene.death_rate < 0.06
 
 
+@pytest.mark.slow
 def test_a_false_start_is_forgotten() -> None:
     """Half a minute of nothing but false detections, then people."""
     rng = np.random.default_rng(2)

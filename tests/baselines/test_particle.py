@@ -370,6 +370,7 @@ def test_backward_simulation_of_one_angle_agrees_with_a_grid() -> None:
     np.testing.assert_allclose(difference(mean, np.angle(exact))[firm], 0.0, atol=np.radians(5.0))
 
 
+@pytest.mark.slow
 def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> None:
     track = without(walk(20, noise=0.1, dt=0.3), "position", [6, 7, 8, 9])
     exact = rauch_tung_striebel(track, PARAMETERS)

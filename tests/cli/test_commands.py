@@ -47,6 +47,7 @@ def simulated(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_smooth_writes_every_person_frame_with_uncertainty(simulated, tmp_path):
     program = [sys.executable, "-m", "graphtrack", "smooth", simulated, "-o", tmp_path / "out.parquet"]
     done = subprocess.run(program, capture_output=True, text=True, timeout=300)
@@ -56,6 +57,7 @@ def test_smooth_writes_every_person_frame_with_uncertainty(simulated, tmp_path):
     assert (table[["x_std", "vx_std", "body_std_deg", "head_std_deg"]] > 0).all().all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "engine"),
     [("smooth", "auto"), ("smooth", "gtsam"), ("track", "chain"), ("track", "fixed-lag"), ("track", "isam2")],

@@ -113,6 +113,7 @@ def fit(*arguments: str) -> Done:
     return run_command("fit", *arguments, program="graphtrack")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("source", "how"), [("seen.csv", "found"), ("labelled.csv", "given")])
 def test_a_scene_is_learned_told_written_and_used(here: Path, source: str, how: str) -> None:
     options = ["--scene"] if how == "given" else []
@@ -133,6 +134,7 @@ def test_a_scene_is_learned_told_written_and_used(here: Path, source: str, how: 
     assert f"{len(found)} people" in used.stderr
 
 
+@pytest.mark.slow
 def test_identities_are_forgotten_on_request(here: Path) -> None:
     assert fit("seen.csv", "-o", "one.toml").returncode == 0
     assert fit("labelled.csv", "-o", "other.toml", "--associate", "always").returncode == 0

@@ -190,6 +190,7 @@ def state(made, tmp_path):
     return tmp_path / "state"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

@@ -56,6 +56,7 @@ def test_what_is_added_is_there_at_once(tmp_path):
     assert content(path) == VALUES
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(places=st.lists(st.floats(0.0, 1.0, exclude_max=True), min_size=1, max_size=3), bit=st.integers(0, 7))
 def test_flipped_bits_change_no_value(tmp_path_factory, places, bit):
@@ -247,6 +248,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kills")
 def test_kills_at_any_moment_lose_no_row(tmp_path):
     path = tmp_path / "state"

@@ -75,6 +75,7 @@ def test_the_convention_of_a_file_is_found(seed: int, zero: str, sense: str, peo
     assert proposed_convention(tracks)[0] == fit.convention == convention
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @given(SEEDS, st.integers(50, 310), st.booleans())
 def test_any_rotation_of_a_mirror_is_corrected(seed: int, degrees: int, is_mirrored: bool) -> None:

@@ -47,6 +47,7 @@ def value(found: Comparison, method: str, metric: str, column: str = "median") -
     return float(rows[0][column])
 
 
+@pytest.mark.slow
 def test_knowing_the_future_helps(comparison: Comparison) -> None:
     assert not comparison.failures
     for metric in ("position RMSE", "velocity RMSE"):

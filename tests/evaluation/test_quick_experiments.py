@@ -66,6 +66,7 @@ def test_baxter_weight_fits_each_dependence_of_the_weight(monkeypatch: pytest.Mo
         assert row[f"{weight} − constant (nats)"] == pytest.approx(gain)
 
 
+@pytest.mark.slow
 def test_people_of_every_source_are_judged_by_every_model(monkeypatch: pytest.MonkeyPatch) -> None:
     def people(seed: int):  # type: ignore[no-untyped-def]
         return lambda settings: strollers(np.random.default_rng(seed), people=2, seconds=6.0)

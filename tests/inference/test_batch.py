@@ -300,6 +300,7 @@ def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> Non
         smooth(some_tracks(), preset)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
 def test_two_workers_find_the_same_bytes_as_one(engine: OfflineEngine) -> None:
     tracks = TrackSet((*some_tracks(), *(walk(8, seed=k, track_id=k, uneven=True) for k in range(20, 25))))

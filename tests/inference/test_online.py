@@ -73,6 +73,7 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     return reported(np.linalg.inv(information)[-6:, -6:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "constants"),
     [("chain", "default"), ("chain", "learn"), ("fixed-lag", "default"), ("isam2", "default")],

@@ -163,6 +163,7 @@ def test_estimates_of_a_stream_stay_inside(area: Path) -> None:
     assert outside_of(plain, 200) > 0.01 and outside_of(walled, 200) <= 0.001
 
 
+@pytest.mark.slow
 def test_tracked_detections_of_a_stream_stay_inside(area: Path) -> None:
     rows = corridor_rows(2, 5, identities=False, aside=0.15)
     _, plain = track(rows, "--lag", "1")

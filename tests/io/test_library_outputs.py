@@ -68,6 +68,7 @@ def test_a_frame_has_its_people_with_boxes_on_their_positions(sv: Any) -> None:
     np.testing.assert_allclose(homography.xyxy[0, 3], found.xyxy[0, 3])
 
 
+@pytest.mark.slow
 def test_what_supervision_gave_goes_back_to_it_and_is_read_again(sv: Any) -> None:
     scene = people()
     again = gt.from_supervision(gt.to_supervision(scene), fps=10.0, camera=CAMERA)
@@ -195,6 +196,7 @@ def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
         gt.read(tmp_path / "smoothed.gpkg", format="geopackage")
 
 
+@pytest.mark.slow
 def test_tables_of_groups_looks_and_forecasts_name_people(tmp_path: Path) -> None:
     walks().assign(body_deg=90.0, head_deg=90.0).to_csv(tmp_path / "walks.csv", index=False)
     for command in ("groups", "attention", "forecast"):

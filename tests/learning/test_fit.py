@@ -57,6 +57,7 @@ def test_tracks_without_a_truth_are_left_out_and_the_rest_is_fitted() -> None:
     assert learned["likelihood.position_std"] == pytest.approx(0.07, rel=0.15)
 
 
+@pytest.mark.slow
 def test_couplings_are_fitted_to_the_truth_by_default() -> None:
     found = fit(known("joint", 11, 8, 16), hold_out=0.0)
     assert found.start.preset == found.model.preset == "joint"
@@ -105,6 +106,7 @@ def values(found: SceneFit) -> dict[str, float]:
     return {one.name: one.value for one in found.learned}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["labelled", "alone"])
 def test_what_detections_were_made_with_comes_out(
     how: str, seen: Detected, request: pytest.FixtureRequest

@@ -57,6 +57,7 @@ def test_errors_are_found_within_what_is_stated(seed) -> None:
     assert errors_of(found["south-west"]).tolist() == [0.0] * len(ERRORS)
 
 
+@pytest.mark.slow
 def test_the_joint_graph_has_the_same_optimum_and_uncertainty() -> None:
     rows, _ = recording(3, people=8, seconds=10.0, count=2)
     found = learn_sensors(rows, {"south-west": NO_ERRORS})
@@ -111,6 +112,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         assert found[1, place] == pytest.approx(numerical, rel=2e-3, abs=0.05), ERRORS[place]
 
 
+@pytest.mark.slow
 def test_noise_detection_and_false_detections_of_each_sensor_are_learned() -> None:
     rng = np.random.default_rng(6)
     walking = crossing(rng, people=10, seconds=15.0, fps=10.0)
@@ -168,6 +170,7 @@ def test_what_cannot_be_learned_is_refused() -> None:
         learn_sensors(apart)
 
 
+@pytest.mark.slow
 def test_known_errors_stay_as_they_are() -> None:
     rows, scene = recording(7, people=5, seconds=10.0, count=2)
     known = replace(scene["south-east"], rotation=None, clock_offset=None)
@@ -177,6 +180,7 @@ def test_known_errors_stay_as_they_are() -> None:
     assert found["south-east"].clock_offset == pytest.approx(scene["south-east"].clock_offset, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_command_learns_and_smooth_uses_it(tmp_path) -> None:
     rows, scene = recording(8, people=6, seconds=10.0, count=2)
     path, learned, both = tmp_path / "rows.csv", tmp_path / "learned.toml", tmp_path / "both.toml"

@@ -44,6 +44,7 @@ def test_what_makes_arrays_or_hands_them_back_has_to_say_so(monkeypatch, tmp_pat
         compiled(rest)
 
 
+@pytest.mark.slow
 def test_functions_without_reference_counting_call_none_that_returns_arrays() -> None:
     """They would not release what they got: it would stay in memory for good."""
     functions = [
@@ -90,6 +91,7 @@ def test_a_numba_that_does_not_compile_is_an_error(monkeypatch) -> None:
         compiled(lambda x: x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", ["0", "-2"])
 def test_settings_that_numba_refuses_are_one_error(threads: str, tmp_path: Path) -> None:
     table = tmp_path / "tracks.csv"
@@ -114,6 +116,7 @@ print(twice(2.0))
 """
 
 
+@pytest.mark.slow
 def test_at_the_prompt_it_compiles() -> None:
     done = subprocess.run([sys.executable, "-"], input=PROMPT, capture_output=True, text=True, check=True)
     assert done.stdout == "4.0\n"
@@ -254,6 +257,7 @@ print([len(function.stats.cache_hits) for function in (one, two)])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(compilation.processors() < 2, reason="one process compiles alone")
 def test_independent_work_is_compiled_by_several_processes(tmp_path) -> None:
     (tmp_path / "jobs.py").write_text(TWO_JOBS)

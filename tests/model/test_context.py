@@ -65,6 +65,7 @@ def test_a_share_outside_of_0_to_1_is_one_error() -> None:
         gt.smooth(person(head_free=-0.5), "joint", constants="default")
 
 
+@pytest.mark.slow
 def test_who_looks_into_a_shop_window_is_better_predicted_with_the_window_known() -> None:
     shoppers = context.window_shoppers(Settings(quick=True))
     share = context.chosen_share(shoppers.people, shoppers.free, shoppers.inputs)

@@ -87,6 +87,7 @@ def test_a_direction_that_nobody_walked_in_is_neither_likely_nor_unlikely() -> N
     assert said[0] > 0.4
 
 
+@pytest.mark.slow
 def test_likelihoods_are_flat_where_nothing_can_be_told() -> None:
     rng = np.random.default_rng(4)
     features = rng.normal(size=(240, 30)).astype(np.float32)
@@ -97,6 +98,7 @@ def test_likelihoods_are_flat_where_nothing_can_be_told() -> None:
     assert np.exp(out).max() < 0.6
 
 
+@pytest.mark.slow
 def test_a_head_is_found_where_it_is_however_the_box_lies(
     adapted: tuple[Path, str], others: PastedStreet
 ) -> None:
@@ -113,6 +115,7 @@ def test_a_head_is_found_where_it_is_however_the_box_lies(
     assert np.abs(np.median(apart, axis=0)).max() < 0.03
 
 
+@pytest.mark.slow
 def test_an_adapted_camera_sees_bodies_better_than_the_models_of_the_package(
     adapted: tuple[Path, str], others: PastedStreet
 ) -> None:

@@ -48,6 +48,7 @@ def fitted(learned_from: PedestrianSet) -> BodyPose:
     return model.fit(people.images, model.classes.index(people.body))
 
 
+@pytest.mark.slow
 def test_it_learns_the_direction_of_the_body(fitted: BodyPose) -> None:
     people = make_pedestrians(40, np.random.default_rng(2), EASY)
     scores = evaluate(fitted, people.images, people.body)

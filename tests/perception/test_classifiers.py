@@ -57,6 +57,7 @@ def fitted(request: pytest.FixtureRequest, heads: Heads) -> tuple[FeatureClassif
 Fitted = tuple[FeatureClassifier, float]
 
 
+@pytest.mark.slow
 def test_it_learns(fitted: Fitted, heads: Heads) -> None:
     scores = evaluate(fitted[0], heads[1].images, heads[1].pan)
     assert scores.mean_error < fitted[1]  # by chance: 90°
@@ -223,6 +224,7 @@ def test_without_pytorch_training_is_refused_in_one_line(
         DeepBelief().fit(heads[0].images, EIGHT.index(heads[0].pan))
 
 
+@pytest.mark.slow
 def test_the_network_of_the_package_meets_its_bars() -> None:
     made = make_heads(200, np.random.default_rng(99))
     scores = evaluate(load_classifier("deep_belief"), made.images, made.pan)

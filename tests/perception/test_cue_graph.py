@@ -130,6 +130,7 @@ def test_the_place_of_a_cue_is_that_of_its_largest_activities() -> None:
     np.testing.assert_allclose(covariance, (1.0 / 64.0 + 0.05**2) * np.eye(2), atol=0.004)
 
 
+@pytest.mark.slow
 def test_who_moves_is_found_and_followed_while_at_rest() -> None:
     tracker = CueGraphTracker(GTSAM)
     path = [None] * 3 + [(20.0 + 3.0 * k, 75.0) for k in range(35)]
@@ -141,6 +142,7 @@ def test_who_moves_is_found_and_followed_while_at_rest() -> None:
         assert np.abs(one.centre - place).max() < 12.0 and (one.spread < 20.0).all()
 
 
+@pytest.mark.slow
 def test_a_person_who_walks_out_is_lost() -> None:
     tracker = CueGraphTracker(GTSAM)
     path = [(20.0 + 4.0 * k, 75.0) for k in range(52)]

@@ -41,6 +41,7 @@ def people(clip: Clip) -> list[ObservedPerson]:
     return people_of(clip, models)
 
 
+@pytest.mark.slow
 def test_joint_estimates_are_nearer_to_the_truth_than_single_frames(
     clip: Clip, people: list[ObservedPerson]
 ) -> None:

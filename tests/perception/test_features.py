@@ -169,6 +169,7 @@ def test_printed_blocks_are_sums_of_gradients() -> None:
     np.testing.assert_allclose(ours.max(), 240 / 241)
 
 
+@pytest.mark.slow
 def test_the_printed_localiser_judges_the_head_itself_and_says_so_in_its_file(tmp_path: Path) -> None:
     people = make_pedestrians(30, np.random.default_rng(0))
     model = HeadLocaliser.as_published()

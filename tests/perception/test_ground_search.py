@@ -135,6 +135,7 @@ def test_every_place_is_in_a_band_of_its_height_which_shows_what_is_there() -> N
 # -- background --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_background_is_what_stays_and_the_foreground_who_walks(
     street: PastedStreet, backgrounds: Backgrounds
 ) -> None:
@@ -260,6 +261,7 @@ def written(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) -> l
     return [frames, *options]
 
 
+@pytest.mark.slow
 def test_observe_writes_detections_and_smooth_finds_who_is_who(
     street: PastedStreet, written: list[object], tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def test_a_factor_of_an_even_likelihood_is_nearly_none() -> None:
     assert quadratic(numbers, grid(1.0, 21)).max() < 0.2 and peak == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_graph_has_place_and_pose_of_a_grid_over_the_same_likelihoods(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -129,6 +130,7 @@ def test_an_angle_between_classes_is_shared_by_them() -> None:
     assert (shares[np.abs(difference(classes.pan, np.pi - 0.1)) > 0.3 + classes.step] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_head_is_followed_through_its_turn() -> None:
     clip = head_clip(np.random.default_rng(11), HeadClipParameters(30, clutter=0.3))
     tracker = HeadGraphTracker(GTSAM, exemplars=FACING, rate=clip.fps)
@@ -144,6 +146,7 @@ def test_a_head_is_followed_through_its_turn() -> None:
         assert (item.spread > 0.0).all() and (item.spread < 0.3 * clip.boxes[0, 2]).all()
 
 
+@pytest.mark.slow
 def test_a_hidden_head_moves_on_and_a_proposal_moves_it() -> None:
     clip = head_clip(np.random.default_rng(4), HeadClipParameters(12, clutter=0.5))
     black = np.zeros_like(clip.images[0])

@@ -98,6 +98,7 @@ def mean_overlap(model: HeadLocaliser, made: PedestrianSet) -> float:
     return float(np.mean([intersection_over_union(f, b) for f, b in zip(first, made.head_box, strict=True)]))
 
 
+@pytest.mark.slow
 def test_it_finds_heads(fitted: HeadLocaliser, people: People) -> None:
     assert mean_overlap(fitted, people[1]) > 0.3  # of a window drawn at random: 0.12
     assert mean_overlap(load_head_localiser(), people[1]) > 0.6

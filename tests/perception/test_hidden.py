@@ -200,6 +200,7 @@ def test_a_share_outside_of_0_to_1_is_one_error() -> None:
         less_hidden(np.ones((1, 8)), np.array([1.3]), LikelihoodParameters())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
 def test_hidden_frames_with_wrong_classes_harm_less_where_they_are_said(engine: str) -> None:
     """Nobody's class of a hidden frame is right; both engines read the same share."""

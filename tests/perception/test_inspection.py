@@ -37,6 +37,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("boxes", [True, False])
 def test_a_camera_that_moves_is_known_from_one_that_does_not(motion: str, boxes: bool) -> None:
@@ -62,6 +63,7 @@ def test_a_still_picture_and_one_colour_are_noted() -> None:
     assert "have one colour, such as frame 0" in half.notes()[0]
 
 
+@pytest.mark.slow
 def test_a_black_video_is_refused_and_a_folder_has_an_assumed_rate(tmp_path: Path) -> None:
     black = encoded(tmp_path / "black.mp4", [np.full((96, 128, 3), 16, np.uint8)] * 8)
     boxes = tmp_path / "boxes.txt"

@@ -57,6 +57,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("identified", [True, False])
 def test_observe_returns_what_the_command_writes(clip: Path, tmp_path: Path, identified: bool) -> None:
     boxes, homography = tmp_path / "boxes.txt", clip / "homography.txt"

@@ -198,6 +198,7 @@ def test_likelihoods_are_calibrated(rendered: bool) -> None:
         assert curve.expected_calibration_error < (0.10 if rendered else 0.04)
 
 
+@pytest.mark.slow
 def test_training_learns_and_is_the_same_again(tmp_path: Path) -> None:
     models = [train_keypoints(2000, test_skeletons=500, seed=4) for _ in range(2)]
     rng = np.random.default_rng(0)

@@ -137,6 +137,7 @@ class Standard(io.TextIOWrapper):
         super().__init__(io.BytesIO(data))
 
 
+@pytest.mark.slow
 def test_rows_of_a_video_on_standard_input_are_those_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,6 +212,7 @@ def test_a_recording_has_the_times_of_arrival(tmp_path: Path) -> None:
     assert found == sorted(set(found))
 
 
+@pytest.mark.slow
 def test_a_report_records_a_live_source_first(tmp_path: Path) -> None:
     done = run("report", tmp_path / "nothing.mp4", "--live", "-o", tmp_path / "out")
     assert done.returncode == 2 and "--live with" in done.stderr

@@ -159,6 +159,7 @@ def test_nothing_is_followed_without_features() -> None:
         assert isinstance(follower.step(noisy, []), Lost) == (k > 0)
 
 
+@pytest.mark.slow
 def test_after_a_cut_nothing_is_known_until_the_view_returns() -> None:
     rng, follower = np.random.default_rng(0), CameraFollower()
     cut = [follower.step(shown(pan(k), rng, seed=int(4 <= k < 8)), []) for k in range(12)]
@@ -274,6 +275,7 @@ def error_of(table: pd.DataFrame) -> np.ndarray:
     return np.linalg.norm(table[["x", "y"]] - there, axis=1)
 
 
+@pytest.mark.slow
 def test_positions_are_those_of_a_still_camera(clip: Path, tmp_path: Path) -> None:
     options = ["--boxes", clip / "boxes.txt", "--fps", FPS]
     view = ["--homography", clip / "homography.txt"]
@@ -296,6 +298,7 @@ def test_positions_are_those_of_a_still_camera(clip: Path, tmp_path: Path) -> No
     assert len(smoothed) == 2
 
 
+@pytest.mark.slow
 def test_a_stream_and_python_give_the_same(clip: Path, tmp_path: Path) -> None:
     video, boxes, view = clip / "frames", clip / "boxes.txt", clip / "homography.txt"
     found = perception.observe(
@@ -325,6 +328,7 @@ def test_a_stream_and_python_give_the_same(clip: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(later["x"][at], still["x"][still["frame"] == 5], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_frames_without_a_view_have_no_rows(clip: Path, tmp_path: Path) -> None:
     lines = (clip / "homographies.csv").read_text().splitlines(keepends=True)
     (tmp_path / "part.csv").write_text("".join(lines[:9]))
@@ -347,6 +351,7 @@ def test_frames_without_a_view_have_no_rows(clip: Path, tmp_path: Path) -> None:
     assert set(pd.read_csv(tmp_path / "cut.csv")["frame"]) == set(range(8))
 
 
+@pytest.mark.slow
 def test_poses_carry_the_camera(clip: Path, tmp_path: Path) -> None:
     """Rows are those that `graphtrack convert --poses` makes of the rows in the vehicle's frame."""
     t = np.arange(0.0, 3.0, 0.1)

@@ -109,6 +109,7 @@ def nobodys(clip: Path, folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_detections_stand_alone_and_are_associated(long_clip: Path, tmp_path: Path) -> None:
     """Rows are those of people with identities, but for heads, which no other frame chooses."""
     known = rows_of(
@@ -131,6 +132,7 @@ def test_detections_stand_alone_and_are_associated(long_clip: Path, tmp_path: Pa
             gt.read(other, associate="never")
 
 
+@pytest.mark.slow
 def test_a_detection_depends_on_no_other_when_causal(long_clip: Path, tmp_path: Path) -> None:
     det, lines = nobodys(long_clip, tmp_path), (tmp_path / "det.txt").read_text().splitlines()
     whole = rows_of(long_clip, long_clip / "images", tmp_path / "a.csv", "--boxes", det, "--causal")

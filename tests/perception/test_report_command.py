@@ -62,6 +62,7 @@ def reported(arguments: list[object], tmp_path_factory: pytest.TempPathFactory) 
     return folder, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_the_folder_has_everything_and_is_read_as_its_estimates(
     reported: tuple[Path, str], street: PastedStreet
 ) -> None:
@@ -135,6 +136,7 @@ def breaking_off(monkeypatch: pytest.MonkeyPatch, at: int) -> list[int]:
     return looked
 
 
+@pytest.mark.slow
 def test_a_run_that_breaks_off_goes_on(
     reported: tuple[Path, str], arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +175,7 @@ def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
     assert len(asked) == asks
 
 
+@pytest.mark.slow
 def test_another_method_repeats_only_what_depends_on_it(
     reported: tuple[Path, str], arguments: list[object], tmp_path: Path
 ) -> None:
@@ -185,6 +188,7 @@ def test_another_method_repeats_only_what_depends_on_it(
     assert not np.array_equal(first.by_id(1).position, second.by_id(1).position)
 
 
+@pytest.mark.slow
 def test_without_a_camera_or_a_view_that_tells_there_is_a_scale(
     arguments: list[object], tmp_path: Path
 ) -> None:
@@ -228,6 +232,7 @@ def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) ->
     np.testing.assert_allclose(shown[2][0].path, pixel)
 
 
+@pytest.mark.slow
 def test_what_is_shown_is_kept_as_columns() -> None:
     rows, people, camera = 2000, 3, GroundCamera.from_scale(0.02)
     frame, still = np.arange(rows), np.zeros((rows, 2))
@@ -248,6 +253,7 @@ def test_what_is_shown_is_kept_as_columns() -> None:
     assert [person.track_id for person in shown[7]] == list(range(people))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_estimates_angles_and_their_uncertainty(method: str) -> None:
     noisy = gt.simulate("joint", n_tracks=2, rng=np.random.default_rng(0))
@@ -340,6 +346,7 @@ def test_what_is_learned_is_learned_once(
     assert {path.name for path in tmp_path.iterdir()} == {"camera.npz", "apart.csv", "at_once.csv"}
 
 
+@pytest.mark.slow
 def test_one_call_takes_keypoints_and_point_pairs(tmp_path: Path) -> None:
     clip, out = tmp_path / "clip", tmp_path / "out"
     ran("simulate", "street", "-o", clip, "--frames", 8, "--people", 2, "--seed", 3)
@@ -368,6 +375,7 @@ def test_one_call_takes_keypoints_and_point_pairs(tmp_path: Path) -> None:
     assert len(gt.read(tmp_path / "boxes")) == 2 and (out / "tracks.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_one_call_takes_a_network(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     frames, network = tmp_path / "frames", brightest(tmp_path / "detector.onnx")

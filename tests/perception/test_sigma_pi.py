@@ -440,6 +440,7 @@ def on(box: Box, label: Box = BOX) -> bool:
     return bool(label[0] <= x <= label[0] + label[2] and label[1] <= y <= label[1] + label[3])
 
 
+@pytest.mark.slow
 def test_who_stands_from_the_first_frame_on_is_held_though_somebody_passes() -> None:
     held = []
     for seed in range(3):
@@ -514,6 +515,7 @@ def with_decoy(k: int) -> Image:
     return shown((path(k)[0] + 40.0 * (k >= 20), 110.0 if k >= 20 else path(k)[1]), k, room)
 
 
+@pytest.mark.slow
 def test_a_target_that_leaves_its_window_to_a_decoy_is_found_by_its_colours_where_pixels_change() -> None:
     ends = {}
     for redetect in (True, False):
@@ -524,6 +526,7 @@ def test_a_target_that_leaves_its_window_to_a_decoy_is_found_by_its_colours_wher
     assert all(ends[True]) and not any(ends[False])
 
 
+@pytest.mark.slow
 def test_a_target_at_rest_is_not_left_for_a_person_of_other_colours() -> None:
     other = np.ascontiguousarray(PERSON[..., ::-1])
     images = []

@@ -30,6 +30,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_street_has_frames_boxes_cameras_and_truth_that_agree(street: Path) -> None:
     frames = FrameSource.open(street / "video.mp4")
     assert frames.count == 4 and frames.fps == pytest.approx(4.0)
@@ -58,6 +59,7 @@ def test_keypoints_of_a_street_are_within_its_boxes(street: Path) -> None:
         assert len(sure) > 2 and inside.all(axis=1).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_again_and_images_in_place_of_the_video(street: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     assert simulate("street", again, "--seed", 2, "--fps", 4, "--images").returncode == 0
@@ -73,6 +75,7 @@ def test_a_seed_gives_the_same_again_and_images_in_place_of_the_video(street: Pa
     assert (other / "boxes.txt").read_bytes() != (street / "boxes.txt").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_room_has_the_box_of_whoever_comes_in(tmp_path: Path) -> None:
     done = simulate("ceiling", tmp_path / "room")
     assert done.returncode == 0 and "30 images" in done.stderr
@@ -98,6 +101,7 @@ def test_a_head_has_its_boxes_and_angles(tmp_path: Path) -> None:
     assert table["pan_deg"].abs().max() <= 90.0 and (table["visible"] == 1.0).all()
 
 
+@pytest.mark.slow
 def test_crops_of_people_are_what_training_takes_and_those_of_heads_have_angles(tmp_path: Path) -> None:
     folder = tmp_path / "people"
     assert simulate("people", folder, "--count", 40).returncode == 0

@@ -90,6 +90,7 @@ def test_skin_shows_from_the_front_and_not_from_behind() -> None:
     assert shares[0] > 2.0 * shares[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
@@ -258,6 +259,7 @@ def test_what_happens_in_each_kind(name: str) -> None:
     assert len(sequence.walks) == (1 if kind.distracter is None else 2)
 
 
+@pytest.mark.slow
 def test_the_person_is_in_view_and_everything_repeats() -> None:
     sequence = drawn("changed environment and distracter", 60)
     frames = list(sequence)
@@ -369,6 +371,7 @@ def test_a_wall_hides_exactly_the_frames_asked_for(hidden: HeadClip) -> None:
     assert hidden.visible[0] == hidden.visible[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_motion_is_smooth_and_stays_in_the_image(around: HeadClip, hidden: HeadClip) -> None:
     for clip in (around, hidden):
         right, bottom = (clip.boxes[:, :2] + clip.boxes[:, 2:]).T

@@ -60,6 +60,7 @@ def test_a_photo_lies_where_its_camera_sees_the_ground(marked, tilt):
     assert (ground.pixels[..., 3] == 0).any() and (ground.pixels[..., 3] == 255).any()
 
 
+@pytest.mark.slow
 def test_the_page_and_the_picture_have_it(marked):
     track = walker(1, n=20, position=np.linspace([0.2, 0.2], [1.8, 0.8], 20))
     background = Backdrop.of_plan(marked, 0.01, (0.0, 0.0))
@@ -88,6 +89,7 @@ def test_what_cannot_be_a_background_is_refused(marked, tmp_path):
             Backdrop.of_plan(path, 0.01)
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_plan_and_writes_figures(marked, tmp_path):
     track = walker(1, n=20, position=np.linspace([0.2, 0.2], [1.8, 0.8], 20), label="Anna $5$")
     gt.write(track, tmp_path / "one.csv")
@@ -109,6 +111,7 @@ def test_the_command_takes_a_plan_and_writes_figures(marked, tmp_path):
     assert done.returncode == 2 and "--background" in done.stderr
 
 
+@pytest.mark.slow
 def test_figures_have_text_as_text_and_are_the_same_each_time(tmp_path):
     track = walker(1, n=30)
     for name in ("a", "b"):

@@ -81,6 +81,7 @@ def test_the_replay_holds_what_was_given(report, tracks):
     assert scene["fans"]["ahead"] == AHEAD.tolist() and scene["has"]["looks"]
 
 
+@pytest.mark.slow
 def test_each_kind_has_a_checkbox_and_only_where_there_is_some(report, tracks):
     def layers(one):
         return set(re.findall(r'data-layer="(\w+)"', render_report(one)))
@@ -267,6 +268,7 @@ return seen;
 """
 
 
+@pytest.mark.slow
 def test_in_a_browser_layers_are_drawn_and_the_pointer_is_told(report, tmp_path):
     seen = in_browser(render_report(report), VISIT, tmp_path)
     assert [seen[name] for name in ("groups", "looks", "fans", "places")] == [True] * 4
@@ -332,6 +334,7 @@ def test_of_many_forecasts_some_are_shown_and_the_page_says_so(tracks, monkeypat
     assert "One forecast in 3 is shown." in render_report(report)
 
 
+@pytest.mark.slow
 def test_one_person_and_one_without_a_place_have_a_page():
     alone = standing(people=1)
     lost = replace(alone.by_id(1), track_id=2, position=np.full_like(alone.by_id(1).position, np.nan))
@@ -360,6 +363,7 @@ def test_looks_and_forecasts_of_others_are_refused(tracks):
         behaviour_of(tracks, forecast=forecast(standing(n=22)))
 
 
+@pytest.mark.slow
 def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, attention=looking(tracks, (BAR,))))
     assert len(table(report, "Dwell times")) == 4
@@ -426,6 +430,7 @@ def test_a_smoothed_page_has_the_run_and_what_people_do(here):
     assert done.returncode == 2 and "--groups without --report" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(here):
     tables = "--groups groups.csv --attention attention.csv --places places.csv --forecast forecast.csv"
     done = graphtrack(f"report tracks.csv -o report.html --observations tracks.csv {tables} --title Standing")

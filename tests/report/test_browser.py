@@ -33,6 +33,7 @@ def seen(tmp_path_factory):
     return in_browser(render_report(report), VISIT, tmp_path_factory.mktemp("browser"))
 
 
+@pytest.mark.slow
 def test_people_stand_on_pages_and_are_found(seen):
     assert seen["names"] == [f"walker {i}<b>" for i in range(24)]
     assert seen["page"] == "1–24 of 60" and seen["tally"] == "60 of 60 shown"

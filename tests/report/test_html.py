@@ -55,6 +55,7 @@ def full():
     )
 
 
+@pytest.mark.slow
 def test_the_page_refers_to_nothing_outside_itself(full):
     page = Page(full)
     for _, attributes in page.elements:
@@ -99,6 +100,7 @@ def test_the_page_says_what_it_leaves_out():
     assert "person-frames, one every" not in render_report(Report("t", replay=replay_data(pairs)))
 
 
+@pytest.mark.slow
 def test_hostile_words_stay_words():
     tracks = [walker(i, label=HOSTILE) for i in (1, 2)]
     report = tracking_report(

@@ -123,6 +123,7 @@ def test_clock_times_of_lives_and_events_count_from_the_start_too():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("people", [0, 1, 300])
 def test_a_page_of_nobody_of_one_and_of_hundreds(people):
     tracks = TrackSet(tuple(associated(i + 1, n=40) for i in range(people)))

@@ -60,6 +60,7 @@ def test_what_was_refused_and_changed_is_in_the_text() -> None:
     assert "2 tracks had no estimate and were left out." in text
 
 
+@pytest.mark.slow
 def test_the_report_of_a_run_has_the_paragraph_with_learned_constants(cwd: Path) -> None:
     made = run("simulate", "-o", "tracks.csv", "--tracks", "2", "--steps", "60", program="graphtrack")
     assert made.returncode == 0, made.stderr

@@ -92,6 +92,7 @@ def test_estimates_without_names_have_those_of_the_observations(tracks):
     assert [pair.title for pair in pair_tracks(bare)] == [f"person {i}" for i in NAMES]
 
 
+@pytest.mark.slow
 def test_identities_of_the_data_have_no_section_of_their_own():
     walked = gt.simulate("joint", n_tracks=2, rng=np.random.default_rng(0))
     table = walked.to_table()

@@ -195,6 +195,7 @@ def test_tables_that_lack_something_are_refused():
         plot_errors([{**ERRORS[0], "median": "much"}])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "module"),
     [

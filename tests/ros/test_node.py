@@ -459,6 +459,7 @@ def test_ellipses_of_messages_are_turned_by_tf():
     assert (one.xx, one.yy) == pytest.approx((0.01, 0.25), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_camera_that_ends_delays_nobody_for_long():
     live, said = Live(POSES, "joint", warn=lambda text: None), []
     for k in range(80):
@@ -470,6 +471,7 @@ def test_a_camera_that_ends_delays_nobody_for_long():
     assert all(said)
 
 
+@pytest.mark.slow
 def test_detections_out_of_sequence_are_put_in_order():
     live, stamps = Live(POSES, "joint", warn=lambda text: None), []
     for t in arrived((0.05 * k, 0.13 * (k % 2)) for k in range(120)):
@@ -480,6 +482,7 @@ def test_detections_out_of_sequence_are_put_in_order():
     assert len(found.people) == 3 and 1e-9 * (START - stamps[-1]) + 5.95 <= 0.25
 
 
+@pytest.mark.slow
 def test_what_is_held_and_what_is_counted_is_all():
     for seed in range(2):
         rng = np.random.default_rng(seed)

@@ -50,6 +50,7 @@ def identities(written: Path, folder: Path) -> np.ndarray:
     return both.track_id.fillna(-1).to_numpy(np.int64)
 
 
+@pytest.mark.slow
 def test_one_block_is_what_the_recording_gives_in_memory_and_more_keep_peoples_numbers(
     seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -93,6 +94,7 @@ def test_rows_that_are_not_in_the_order_of_time_are_one_error(seen: Seen, tmp_pa
     assert not (tmp_path / "out.parquet").exists()
 
 
+@pytest.mark.slow
 def test_the_command_associates_and_smooths_what_has_no_identities(
     seen: Seen, in_blocks: tuple[Path, AssociationOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,6 +113,7 @@ def test_the_command_associates_and_smooths_what_has_no_identities(
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
+@pytest.mark.slow
 def test_times_from_a_frame_rate(seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, _ = seen
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 100)

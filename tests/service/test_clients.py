@@ -64,6 +64,7 @@ def ended(service, name, seconds=15.0):
     return not still
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leaves", [False, True])
 def test_answers_that_are_never_read_end_after_the_patience_or_with_the_client(service, leaves):
     with begin(service, b"unread") as client:
@@ -103,6 +104,7 @@ def test_headers_without_a_body_end_after_the_patience(service, headers):
         assert b"no row came for 3 s" in found
 
 
+@pytest.mark.slow
 def test_a_client_that_is_slowed_down_may_leave(tmp_path):
     with serving("--state", str(tmp_path), "--max-rate", "1") as slow:
         client = begin(slow, b"slow")
@@ -125,6 +127,7 @@ def test_a_request_that_is_never_finished_is_dropped(service):
             assert client.recv(1) == b""
 
 
+@pytest.mark.slow
 def test_the_service_stops_within_seconds(tmp_path):
     """With clients that have sent nothing, some rows, and rows whose answers they do not read."""
     with serving("--state", str(tmp_path), "--max-streams", "8") as running, ExitStack() as clients:

@@ -26,6 +26,7 @@ def of_track(lines):
     return run("track", "-", "--model", "position", program="graphtrack", rows=lines).stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_answers_are_those_of_track_however_rows_come(service):
     sent = [*rows(20), '{"track_id": 0, "frame": 3}', "no row", *rows(2, first=20)]
     with service.connect("same") as connection:

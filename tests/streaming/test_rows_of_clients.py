@@ -49,6 +49,7 @@ def test_text_identities_go_on_in_a_resumed_stream(stop: int, tmp_path: Path) ->
     assert {row["track_id"] for row in whole} == set(NAMES)
 
 
+@pytest.mark.slow
 def test_texts_of_forgotten_people_are_forgotten() -> None:
     people = stream(True)
     for k in range(3000):

@@ -93,6 +93,7 @@ def ducks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "supervision", supervision)
 
 
+@pytest.mark.slow
 def test_our_trackers_find_most_and_the_offline_one_more(scene: DetectedScene) -> None:
     found = compare_trackers(scene.detections, scene.truth, OWN)
     assert [one.method for one in found.results] == ["online", "hungarian", "associate"], "online first"
