@@ -92,6 +92,32 @@ def test_detections_say_orientation_spread_and_score(tmp_path):
     assert track.head is None
 
 
+def test_tracked_people_have_bodies_where_their_yaw_is_known(tmp_path):
+    def tracked(t, variance):
+        where = [
+            make(
+                "geometry_msgs/msg/PoseWithCovariance",
+                pose=pose(t + k, float(k), 0.5),
+                covariance=covariance(0.04, 0.09, yaw),
+            )
+            for k, yaw in enumerate(variance)
+        ]
+        given = [
+            make("spencer_tracking_msgs/msg/TrackedPerson", track_id=7 + k, pose=one)
+            for k, one in enumerate(where)
+        ]
+        return make("spencer_tracking_msgs/msg/TrackedPersons", header=header(t), tracks=given)
+
+    messages = [(t, tracked(t, (0.1, 99999.0))) for t in TIMES]
+    tracks = gt.read(record(tmp_path / "bag", {"/tracked": messages}))
+    known, unknown = tracks.by_id(7), tracks.by_id(8)
+    np.testing.assert_allclose(known.position, np.column_stack([TIMES, np.zeros(20)]), atol=1e-12)
+    np.testing.assert_allclose(known.body, 0.5)
+    np.testing.assert_allclose(known.body_kappa, 10.0)
+    assert unknown.body is None or np.isnan(unknown.body).all()
+    np.testing.assert_allclose(unknown.position[:, 1], 1.0)
+
+
 def test_classes_of_detections_are_picked(tmp_path):
     nothing = np.zeros(36)
     pair = [detection("a", 0.0, 0.0, 0.5, nothing), detection("b", 5.0, 5.0, 0.5, nothing, "dog")]

@@ -164,6 +164,7 @@ DETECTIONS = "vision_msgs/msg/Detection3DArray"
 POSES = "geometry_msgs/msg/PoseArray"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRACKED = "spencer_tracking_msgs/msg/TrackedPersons"
 IDS = "hri_msgs/msg/IdsList"
 GAZE = "hri_msgs/msg/Gaze"
 GROUP = "hri_msgs/msg/Group"
@@ -171,7 +172,7 @@ MARKERS = "visualization_msgs/msg/MarkerArray"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TEXT = "std_msgs/msg/String"
 
-OF_PEOPLE = (PEOPLE, DETECTIONS, POSES, POSE, POSE_WITH_COVARIANCE, IDS)
+OF_PEOPLE = (PEOPLE, DETECTIONS, POSES, POSE, POSE_WITH_COVARIANCE, TRACKED, IDS)
 """Types of topics with positions of people."""
 
 FIELDS: Mapping[str, str] = {
@@ -185,6 +186,10 @@ FIELDS: Mapping[str, str] = {
     "geometry_msgs/PoseWithCovariance pose",
     "vision_msgs/msg/ObjectHypothesis": "string class_id; float64 score",
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center; geometry_msgs/Vector3 size",
+    TRACKED: "std_msgs/Header header; spencer_tracking_msgs/TrackedPerson[] tracks",
+    "spencer_tracking_msgs/msg/TrackedPerson": "uint64 track_id; bool is_occluded; bool is_matched; "
+    "uint64 detection_id; builtin_interfaces/Duration age; geometry_msgs/PoseWithCovariance pose; "
+    "geometry_msgs/TwistWithCovariance twist",
     IDS: "std_msgs/Header header; string[] ids",
     GAZE: "std_msgs/Header header; string sender; string receiver",
     GROUP: "std_msgs/Header header; string group_id; string[] members",
@@ -301,6 +306,16 @@ def _posed(pose: Any, covariance: Any = _UNKNOWN) -> PersonSighting:
     return PersonSighting("", _place(pose.position), _turn(pose.orientation), covariance)
 
 
+_LARGEST_VARIANCE = np.pi**2 / 3.0  # of any direction, rad²
+
+
+def _tracked(one: Any) -> PersonSighting:
+    """Return a tracked person; an orientation whose variance is that of any direction is none."""
+    found = _posed(one.pose.pose, one.pose.covariance)._replace(name=str(one.track_id))
+    is_turned = 0.0 < one.pose.covariance[35] < _LARGEST_VARIANCE
+    return found if is_turned else found._replace(turn=_NOT_ROTATED)
+
+
 def _of_detections(message: Any) -> Iterator[PersonSighting]:
     for one in message.detections:
         pose, covariance, score, kind = one.bbox.center, _UNKNOWN, 0.0, ""
@@ -339,6 +354,7 @@ _READERS: Mapping[str, Callable[[Any], Iterable[PersonSighting]]] = {
     POSES: lambda m: map(_posed, m.poses),
     POSE: lambda m: [_posed(m.pose)],
     POSE_WITH_COVARIANCE: lambda m: [_posed(m.pose.pose, m.pose.covariance)],
+    TRACKED: lambda m: map(_tracked, m.tracks),
     IDS: lambda m: [PersonSighting(one.strip()) for one in m.ids],
 }
 
