@@ -37,11 +37,11 @@ from graphtrack.model import Model
 from graphtrack.model.terms.conversation import GROUP
 from graphtrack.model.terms.walls import StaysInside
 from graphtrack.tracks.gaps import (
-    LONGEST_FILLED,
     at_times,
     split_at_gaps,
     with_missing_frames,
     with_times_at,
+    without_absences,
 )
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.track import Track, TrackSet
@@ -151,6 +151,7 @@ def prepare(
     engine: OfflineEngine,
     *,
     fill: bool = False,
+    split: bool = False,
     split_gap: float | None = None,
     resample: float | None = None,
     trust: Trust = "check",
@@ -160,12 +161,14 @@ def prepare(
 
     Parameters
     ----------
-    split_gap : as in `smooth`; None: no track is split
+    split : whether tracks are split where a person was absent, and rows in which they were are left out
     others : as in `smooth`
     """
     notes: tuple[str, ...] = ()
-    if split_gap is not None:
-        tracks, notes = split_at_gaps(tracks, split_gap)
+    if split:
+        tracks, notes = without_absences(tracks)
+        tracks, more = split_at_gaps(tracks, split_gap)
+        notes += more
     origin = min((float(track.t[0]) for track in tracks), default=0.0)
     if fill:
         tracks, more = with_missing_frames(tracks)
@@ -301,7 +304,7 @@ class Smoothing(Solving, FileReading, total=False):
     """Keywords of `smooth`."""
 
     fill: bool | None
-    split_gap: float
+    split_gap: float | None
     resample: float | None
 
 
@@ -321,7 +324,7 @@ def smooth(
     progress: Callable[[int], None] | None = None,
     trust: Trust = "check",
     fill: bool | None = None,
-    split_gap: float = LONGEST_FILLED,
+    split_gap: float | None = None,
     resample: float | None = None,
     walkable: AreaLike | None = None,
     constants: Constants | None = None,
@@ -359,7 +362,8 @@ def smooth(
         model,
         solver,
         fill=read if fill is None else fill,
-        split_gap=None if isinstance(tracks, Track) else split_gap,
+        split=not isinstance(tracks, Track),
+        split_gap=split_gap,
         resample=resample,
         trust=trust,
         constants=constants,

@@ -4,14 +4,23 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from command import ran
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack.errors import InputError
-from graphtrack.tracks.gaps import at_times, filled, split_at_gaps, unfilled_gaps, usual_rate, with_times_at
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.tracks.gaps import (
+    at_times,
+    filled,
+    split_at_gaps,
+    unfilled_gaps,
+    usual_rate,
+    with_times_at,
+    without_absences,
+)
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 
@@ -219,3 +228,29 @@ def test_people_who_were_missed_can_be_left_out(cwd):
     assert rows["left"] <= len(detected) < rows["filled"]
     assert gt.smooth("found.csv", "position", fill=False).n_frames == rows["left"]
     assert gt.smooth("found.csv", "position").n_frames == rows["filled"]
+
+
+def test_people_whom_the_file_names_come_back_and_absences_are_left_out(cwd):
+    people = walk(1200).position  # 2 minutes at 10 Hz
+    rows = [
+        {"id": name, "t": 0.1 * k, "x": x + place, "y": y}
+        for place, name in enumerate(("anna", "7"))
+        for k, (x, y) in enumerate(people.tolist())
+    ]
+    table = pd.DataFrame(rows)
+    away = (table.id == "anna") & (table.t > 20.0) & (table.t < 95.0)
+    cells = table.copy()
+    cells.loc[away, ["x", "y"]] = np.nan
+    of_cells, of_rows = (gt.read(one) for one in (cells, table[~away]))
+    found, notes = without_absences(of_cells)
+    assert [len(one) for one in found] == [len(one) for one in of_rows]
+    assert len(notes) == 1 and "749 rows left out, in which anna" in notes[0]
+    with pytest.warns(InputWarning, match="anna had no observation for more than 60 s"):
+        smoothed = gt.smooth(of_cells, "position")
+    assert [len(one) for one in smoothed] == [len(one) for one in of_rows]
+    # Numbers may be used again; names are not, unless it is asked for.
+    assert split_at_gaps(of_rows)[1] == () and len(split_at_gaps(of_rows, 60.0)[0]) == 3
+    numbered = gt.read(table[~away].assign(id=[4 if one == "anna" else 7 for one in table[~away].id]))
+    assert len(split_at_gaps(numbered)[0]) == 3
+    short = cells.assign(t=0.5 * cells.t)
+    assert without_absences(gt.read(short))[1] == ()

@@ -117,6 +117,11 @@ def crowd(
 def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
     """Read the tracks, and smooth them if a model is named."""
     if model is None:
+        if all(track.covariance is None for track in tracks):
+            from graphtrack.constants.directions import proposed_convention
+
+            for remark in proposed_convention(tracks)[1]:
+                emit(f"  note: {remark}")
         return tracks
     from graphtrack.inference.engines import Solution, engine_of
     from graphtrack.model import Model

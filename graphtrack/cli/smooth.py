@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,7 @@ from graphtrack.io.source import table_in
 from graphtrack.tracks.display import counted, duration
 
 if TYPE_CHECKING:
+    from graphtrack.interaction.people import Place
     from graphtrack.io.options import ReadOptions
     from graphtrack.scale import Dataset
 
@@ -166,7 +167,7 @@ def smooth(
     fill : Estimate the missing frames between a person's rows, and those in which a detector missed the
         person. [default: fill]
     split_gap : An id that comes back after so long, or where nobody walks in the time, is another track;
-        default 60.
+        default 60, and names stay who they are.
     resample : Frames a second of the estimates.
     learn_sensors : Learn the errors of sensors that --sensors leaves unknown, from this input, and write them
         (.toml).
@@ -197,7 +198,6 @@ def smooth(
     from graphtrack.inference.engines import Failure, Solution, engine_of
     from graphtrack.model import Model
     from graphtrack.smoothing import prepare
-    from graphtrack.tracks.gaps import LONGEST_FILLED
 
     chosen = Model.named(model)
     area = None if walkable is None else WalkableArea.of(walkable)
@@ -239,12 +239,18 @@ def smooth(
         camera_used=page.background is not None,
     )
     content = page.content(reading, tracks.camera)
+    places: Sequence[Place] = ()
+    if page.places is not None:
+        from graphtrack.interaction.people import read_places
+
+        places = content["places"] = read_places(page.places)
     work = prepare(
         tracks,
         chosen,
         solver,
         fill=fill is not False,
-        split_gap=LONGEST_FILLED if split_gap is None else split_gap,
+        split=True,
+        split_gap=split_gap,
         resample=resample,
         trust=trust or "check",
         constants=constants,
@@ -275,12 +281,11 @@ def smooth(
     for result in unconverged:
         emit(f"  {tracks.person(result.track.track_id)}: not converged in {result.iterations} steps")
     if report is not None and good:
-        from graphtrack.interaction.people import read_places
-        from graphtrack.report.interaction import behaviour_found
+        from graphtrack.report.interaction import behaviour_found, with_observed_angles
         from graphtrack.report.page import write_report
 
-        places = () if page.places is None else read_places(page.places)
-        done = behaviour_found(estimates, with_groups=groups, with_attention=attention, places=places)
+        people = estimates if resample is not None else with_observed_angles(estimates, work.observed)
+        done = behaviour_found(people, with_groups=groups, with_attention=attention, places=places)
         if groups and (done is None or done.groups is None):
             emit("  note: no groups: fewer than two people")
         if attention and (done is None or done.attention is None):

@@ -25,6 +25,7 @@ from graphtrack.tracks.display import counted, duration
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.engines import OnlineEngine
+    from graphtrack.io.options import ReadOptions
     from graphtrack.io.sensors import SensorScene
     from graphtrack.model import Model
     from graphtrack.streaming.behaviour import Asked
@@ -97,7 +98,7 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: repairing tracks needs future frames")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        of_streams = ("fps", "homography", "associate", "columns", "time_unit", "sensors", *options.ANGLES)
+        of_streams = ("fps", "associate", "columns", "time_unit", "sensors", *options.CAMERA, *options.ANGLES)
         given_options = {"output": output} | reading.given()
         refused = [name for name, value in given_options.items() if value and name not in of_streams]
         if refused:
@@ -112,7 +113,7 @@ def track(
             engine,
             kept,
             reading.options().fps,
-            camera_of(reading.homography),
+            camera_of(reading.options()),
             reading.options().associate,
             horizon_of(forecast),
             asked_of(groups, attention, places),
@@ -257,14 +258,18 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
-def camera_of(plane: Path | None) -> GroundCamera | None:
-    """Return the camera of a file with a homography; None: no file."""
-    if plane is None:
-        return None
-    from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.io.cameras import read_homography
+def camera_of(reading: ReadOptions) -> GroundCamera | None:
+    """Return the camera or scale of the options; None without any."""
+    import numpy as np
 
-    return GroundCamera.from_homography(read_homography(plane))
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.io.cameras import known_camera
+
+    camera, notes = known_camera(reading, np.empty((0, 2)))
+    for note in notes:
+        emit(f"note: {note}")
+    scale = reading.metres_per_pixel
+    return GroundCamera.from_scale(scale) if camera is None and scale is not None else camera
 
 
 def _track_stream(
@@ -377,6 +382,7 @@ def serve(
         from graphtrack.service.app import run
     except ModuleNotFoundError as error:
         raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
+    from graphtrack.io.options import ReadOptions
     from graphtrack.service.settings import Limits, Service, clients_of, is_loopback, is_wildcard
     from graphtrack.streaming.answers import StreamBounds
     from graphtrack.streaming.session import Answers
@@ -390,7 +396,7 @@ def serve(
         engine,
         lag,
         fps,
-        camera_of(homography),
+        camera_of(ReadOptions(homography=homography)),
         asked=asked_of(groups, attention, places),
         horizon=horizon_of(forecast),
         bounds=StreamBounds(max_people, forget_after),

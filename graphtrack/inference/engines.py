@@ -176,6 +176,17 @@ class PersonalConstants:
         lines = [f"noise, learned: {learned}"] if learned else []
         if assumed:
             lines.append(f"noise, of the model, with too few observations to learn it: {assumed}")
+        small = [
+            name
+            for name in ("body", "head")
+            if f"{name}_std" not in self.assumed and self.noise.get(f"{name}_std", np.inf) < SMALL_NOISE
+        ]
+        if small:
+            lines.append(
+                f"noise of {' and '.join(small)} below {math.degrees(SMALL_NOISE):.0f}°: errors that last "
+                "for several frames look like turns, and intervals are then too narrow; a detector's known "
+                f"noise helps ({small[-1]}_kappa, the inverse of its variance in rad²)"
+            )
         return lines
 
     def described(self) -> str:
@@ -186,6 +197,10 @@ class PersonalConstants:
             f"q = {self.acceleration_density:.2g} m²/s³, body turns {turns[0]:.0f}°/√s, "
             f"head turns {turns[1]:.0f}°/√s, {likely} ({100.0 * self.coupling[likely]:.0f} %)"
         )
+
+
+SMALL_NOISE = math.radians(5.0)
+"""Learned noise of angles that few detectors reach: it may be the part of their errors that does not last."""
 
 
 @dataclass(frozen=True, eq=False)

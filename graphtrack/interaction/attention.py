@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -56,6 +57,7 @@ from graphtrack.interaction.people import (
     people_of_estimates,
     predicted,
     presence,
+    read_places,
 )
 from graphtrack.io.source import ParameterFile
 from graphtrack.kernels.compilation import Rehearsal, make_ready
@@ -128,7 +130,7 @@ class Attention:
 
 def attention(
     tracks: Iterable[Track],
-    places: Sequence[Place] = (),
+    places: Sequence[Place] | str | Path = (),
     parameters: AttentionParameters | None = None,
     *,
     groups: Groups | None = None,
@@ -146,9 +148,11 @@ def attention(
     Parameters
     ----------
     tracks : estimates or observations
+    places : other gaze targets, or their file (`read_places`)
     groups : conversation groups; by default they are estimated
     online : True to use only the past of each frame
     """
+    places = read_places(places) if isinstance(places, str | Path) else places
     return gaze_of(observers_of(tracks, places, groups=groups, online=online), parameters)
 
 

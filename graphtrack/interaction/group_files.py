@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.formats.native import open_table
 from graphtrack.io.source import Source
-from graphtrack.tracks.cells import integers, known_ids
+from graphtrack.tracks.cells import Cells, integers, is_missing, known_ids, numbers
 from graphtrack.tracks.validation import LARGEST_SECONDS, parse_number
 
 IntArray = NDArray[np.int64]
@@ -123,7 +123,8 @@ def _without_single(frame: IntArray, label: IntArray) -> IntArray:
 
 
 _ID = re.compile(r"(?:ID_)?(\d{1,15})", re.ASCII)
-_NEEDED = ("frame", "track_id", "group")
+_OF_PEOPLE = ("track_id", "group")
+_NEEDED = ("frame", *_OF_PEOPLE)
 
 
 def is_group_table(path: Path) -> bool:
@@ -132,18 +133,19 @@ def is_group_table(path: Path) -> bool:
         return False
     with path.open("rb") as stream:
         first = stream.readline(4096).decode("utf-8", errors="replace")
-    return _names_groups(first.removeprefix("\ufeff"))
+    return _has(_NEEDED, first.removeprefix("\ufeff"))
 
 
-def _names_groups(header: str) -> bool:
-    return set(_NEEDED) <= {cell.strip().strip('"') for cell in header.split(",")}
+def _has(names: Iterable[str], header: str) -> bool:
+    return set(names) <= {cell.strip().strip('"') for cell in header.split(",")}
 
 
 def read_groups(path: str | Path, ids: Mapping[str, int] | None = None) -> GroupLabels:
     """Read labelled groups; the format is recognised.
 
     SALSA: a line for each time, ``t < ID … > < ID … >``. ETH: a line for each group, the ids of its members.
-    Table: CSV with ``frame``, ``track_id`` and ``group`` (−1: alone).
+    Table: CSV with ``frame`` or ``t``, ``track_id`` and ``group``: numbers or names; −1, or an
+    empty cell, for alone.
 
     Parameters
     ----------
@@ -160,7 +162,7 @@ def read_groups(path: str | Path, ids: Mapping[str, int] | None = None) -> Group
     if not lines:
         raise source.fail("no rows", "groups")
     first = lines[0][1]
-    if _names_groups(first):
+    if _has(_OF_PEOPLE, first):
         return _read_table(source.path, ids or {})
     return _read_salsa(source, lines, ids or {}) if "<" in first else _read_lines(source, lines, ids or {})
 
@@ -227,24 +229,35 @@ def _group(source: Source, line: int, cells: list[str], ids: Mapping[str, int]) 
 
 
 def _read_table(path: Path, ids: Mapping[str, int]) -> GroupLabels:
-    cells = open_table(path, _NEEDED)
-    columns = [
-        (known_ids(cells, name, ids) if name == "track_id" else integers(cells, name)).tolist()
-        for name in _NEEDED
-    ]
-    frames: dict[int, dict[int, int]] = {}
-    line_of: dict[int, int] = {}
-    for row, (frame, person, group) in enumerate(zip(*columns, strict=True)):
-        of_frame = frames.setdefault(frame, {})
-        line_of.setdefault(frame, cells.line_of(row))
-        if person in of_frame:
-            raise cells.fail(f"person {person} twice in frame {frame}", "each person in one group", row)
-        of_frame[person] = group
+    cells = open_table(path, _OF_PEOPLE)
+    by: Literal["t", "frame"] = "frame" if "frame" in cells.columns or "t" not in cells.columns else "t"
+    keys = integers(cells, by) if by == "frame" else numbers(cells, by)
+    cells.refuse(~np.isfinite(keys), by, "a time in seconds")
+    people = known_ids(cells, "track_id", ids)
+    frames: dict[float, dict[int, int]] = {}
+    line_of: dict[float, int] = {}
+    columns = zip(keys.tolist(), people.tolist(), _groups_in(cells), strict=True)
+    for row, (key, person, group) in enumerate(columns):
+        at = frames.setdefault(key, {})
+        line_of.setdefault(key, cells.line_of(row))
+        if person in at:
+            raise cells.fail(f"person {person} twice in {by} {key:g}", "each person in one group", row)
+        at[person] = group
     steps = []
-    for frame in sorted(frames):
+    for key in sorted(frames):
         members: dict[int, set[int]] = {}
-        for person, group in frames[frame].items():
+        for person, group in frames[key].items():
             if group >= 0:
                 members.setdefault(group, set()).add(person)
-        steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
-    return GroupLabels("frame", tuple(steps), path)
+        steps.append(GroupStep(key, tuple(frozenset(one) for one in members.values()), line_of[key]))
+    return GroupLabels(by, tuple(steps), path)
+
+
+def _groups_in(cells: Cells) -> list[int]:
+    """Return the group of each row: numbers as they are, and a number for each name; empty: alone."""
+    given = ["" if is_missing(cell) else str(cell).strip() for cell in cells.columns["group"].tolist()]
+    if all(not cell or parse_number(cell) is not None for cell in given):
+        return integers(cells, "group", ALONE).tolist()
+    named = ["" if (value := parse_number(cell)) is not None and value < 0 else cell for cell in given]
+    number = {name: k for k, name in enumerate(sorted({*named} - {""}))}
+    return [number.get(name, ALONE) for name in named]

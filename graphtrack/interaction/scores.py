@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.interaction.attention import Attention
 from graphtrack.interaction.group_files import UNLABELLED, IntArray
 from graphtrack.interaction.tables import LookLabels
+from graphtrack.tracks.display import listed
 
 Group = frozenset[int]
 
@@ -166,15 +167,28 @@ def true_shares(
     """Return the labelled rows of each person, and the index of the true target in each.
 
     A target beyond the largest distance counts as no target.
+
+    Raises
+    ------
+    InputError
+        For a labelled place that is none of the gaze targets.
     """
     parts = []
+    known = {name for one in found for name in one.places}
+    if unknown := [name for name in labels.places if name not in known]:
+        there = f"; the places are {listed(sorted(known))}" if known else ""
+        expected = f"a person, a place or nobody{there}"
+        raise InputError(f"the gaze target {unknown[0]!r}", expected, path=labels.path)
     for one in found:
         target = labels.of(one.track_id, one.frame)
-        rows = np.flatnonzero((target > UNLABELLED) & np.isfinite(one.probability[:, -1]))
+        rows = np.flatnonzero((target != UNLABELLED) & np.isfinite(one.probability[:, -1]))
         true = np.zeros((len(rows), one.probability.shape[1]), dtype=bool)
         people = np.array(one.people, dtype=np.int64)
         true[:, : len(people)] = target[rows, None] == people
-        true[:, -1] = ~true[:, : len(people)].any(axis=1)
+        for k, name in enumerate(labels.places):
+            if name in one.places:
+                true[:, len(people) + one.places.index(name)] = target[rows] == UNLABELLED - 1 - k
+        true[:, -1] = ~true[:, :-1].any(axis=1)
         parts.append((one, rows, true))
     return parts
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from graphtrack.interaction.group_files import UNLABELLED
 from graphtrack.interaction.groups import KINDS, Groups
 from graphtrack.io.formats.native import open_table
 from graphtrack.limits import MemoryLimit
-from graphtrack.tracks.cells import Cells, integers, known_ids, numbers
+from graphtrack.tracks.cells import Cells, integers, is_missing, known_ids, numbers
 from graphtrack.tracks.validation import LARGEST_ID, parse_number
 
 IntArray = NDArray[np.int64]
@@ -26,6 +26,8 @@ NOBODY = -1
 
 _UNKNOWN = -LARGEST_ID
 """Target of rows without one."""
+
+_NOBODY_WORDS = ("nobody", "nothing")
 
 _TARGETS = ("person", "place", "nothing")
 
@@ -96,14 +98,16 @@ class LookLabels:
     Attributes
     ----------
     frame, track_id : sorted by person, then by frame
-    target : id of the gaze target; `NOBODY`: nobody
+    target : id of the gaze target; `NOBODY`: nobody; `NOBODY` − 2 − k: the place k
     path : path of the file
+    places : names of places that are targets
     """
 
     frame: IntArray
     track_id: IntArray
     target: IntArray
     path: Path
+    places: tuple[str, ...] = ()
 
     def of(self, track_id: int, frame: IntArray) -> IntArray:
         """Return (n,) targets of a person in frames, ascending; `UNLABELLED` without a label."""
@@ -115,7 +119,9 @@ class LookLabels:
 
 
 def read_gaze(path: str | Path, ids: Mapping[str, int] | None = None) -> LookLabels:
-    """Read gaze labels: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
+    """Read gaze labels: CSV with ``frame``, ``track_id`` and ``target``: a person, a place, or nobody.
+
+    Nobody is −1, ``nobody`` or ``nothing``; any other text is a person of ``ids``, or the name of a place.
 
     ``ids``: identity → track id, of tracks whose file has text identities (`TrackSet.ids`).
 
@@ -125,13 +131,27 @@ def read_gaze(path: str | Path, ids: Mapping[str, int] | None = None) -> LookLab
     cells = open_table(path, ("frame", "track_id", "target"))
     frame, person = integers(cells, "frame"), known_ids(cells, "track_id", ids)
     _check_once(cells, frame, person)
+    cells, places = _with_numbers(cells, ids or {})
     target = known_ids(cells, "target", ids, _UNKNOWN)
     has_number = target != _UNKNOWN
-    cells.refuse(has_number & (target < NOBODY), "target", "an id, or -1 for nobody")
     cells.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))
     order = order[has_number[order]]
-    return LookLabels(frame[order], person[order], target[order], cells.path)
+    return LookLabels(frame[order], person[order], target[order], cells.path, places)
+
+
+def _with_numbers(cells: Cells, ids: Mapping[str, int]) -> tuple[Cells, tuple[str, ...]]:
+    """Return gaze labels whose targets without a number have one, and the names of places among them."""
+    given = ["" if is_missing(cell) else str(cell).strip() for cell in cells.columns["target"].tolist()]
+    number = {cell: parse_number(cell) for cell in set(given)}
+    below = np.array([(value := number[cell]) is not None and value < NOBODY for cell in given])
+    cells.refuse(below, "target", "an id, the name of a place, or -1 for nobody")
+    text = [cell if cell and cell not in ids and number[cell] is None else "" for cell in given]
+    places = tuple(sorted({cell for cell in text if cell and cell not in _NOBODY_WORDS}))
+    code = {name: UNLABELLED - 1 - k for k, name in enumerate(places)} | dict.fromkeys(_NOBODY_WORDS, NOBODY)
+    targets = [str(code[name]) if name else cell for name, cell in zip(text, given, strict=True)]
+    columns = {**cells.columns, "target": np.array(targets, dtype=object)}
+    return replace(cells, columns=columns, floats=lambda _: None), places
 
 
 def read_attention(path: str | Path) -> list[Attention]:

@@ -18,7 +18,7 @@ from graphtrack.interaction.groups import Groups
 from graphtrack.interaction.groups import groups as find_groups
 from graphtrack.interaction.people import HELD, Place, interpolated, read_places
 from graphtrack.interaction.tables import read_attention, read_group_table
-from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.track import Track, TrackSet
 
 IntArray = NDArray[np.int64]
 
@@ -114,12 +114,35 @@ def behaviour_found(
     Groups need two people, and gaze heads and something to look at.
     """
     several = len(tracks) > 1
-    faces = any(track.head is not None and np.isfinite(track.head).any() for track in tracks)
+    heads = [values for track in tracks for values in (track.head, track.head_likelihood)]
+    faces = any(values is not None and np.isfinite(values).any() for values in heads)
     found = find_groups(tracks) if several and with_groups else None
     gaze = None
     if with_attention and faces and (several or places):
         gaze = find_attention(tracks, places, groups=found)
     return behaviour_of(tracks, groups=found, attention=gaze, places=places)
+
+
+def with_observed_angles(estimates: TrackSet, observed: TrackSet) -> TrackSet:
+    """Return the people of estimates with the angles that were observed, if heads were.
+
+    Smoothing blurs sudden turns of heads, and its errors last, so that gaze is estimated better from what was
+    observed (`graphtrack groups` and `attention` of observations).
+
+    Parameters
+    ----------
+    observed : the observations of the same rows
+    """
+    source = {track.track_id: track for track in observed}
+
+    def people(track: Track) -> Track:
+        given = source[track.track_id]
+        heads = (given.head, given.head_likelihood)
+        if not any(values is not None and np.isfinite(values).any() for values in heads):
+            return track
+        return replace(given, position=track.position)
+
+    return estimates.map(people)
 
 
 def rows_of_each(track_id: NDArray[np.generic]) -> Iterator[tuple[int, NDArray[np.intp]]]:

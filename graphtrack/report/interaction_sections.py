@@ -154,7 +154,7 @@ def _dwell(summary: LookSummary, names: Mapping[int, str]) -> list[DataTable]:
         "Seconds are expected values, the sum of probabilities; looks and their intervals are the times in "
         "which the probability of gaze at the place exceeds one half."
     )
-    return [DataTable.of("Dwell times of places", rows, note, person_column="person")]
+    return [DataTable.of("Gaze at places", rows, note, person_column="person")]
 
 
 def _persons(summary: LookSummary, names: Mapping[int, str]) -> DataTable:

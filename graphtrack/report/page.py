@@ -377,7 +377,8 @@ def _angles_section(pairs: tuple[Pair, ...]) -> Section:
         return Section(_CURVES, (Note("No velocity, body or head was estimated."),))
     note = (
         "Shows the person selected here, in the replay or in the table of people. A click moves the replay "
-        "to that time; drag to move, ctrl + wheel to zoom, double-click to fit."
+        "to that time; drag to move, ctrl + wheel to zoom, double-click to fit. Body and head are drawn "
+        "where their 1-σ is below 60°."
     )
     return Section(_CURVES, (Chart("angles", "One person over time", note),))
 

@@ -17,6 +17,7 @@ from graphtrack.report.lives import UNSURE, Life, Pair, event_times, least_betwe
 from graphtrack.report.style import (
     NORMAL_95,
     group_colour,
+    known_angle,
     longest_step,
     person_dash,
     probability_ellipse,
@@ -404,7 +405,7 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
     place_of = {name: float(place) for place, name in enumerate(sensors)}
     sensor = np.array([place_of.get(name, np.nan) for name in pair.sensor[at].tolist()])
     body_std, head_std = estimate.std("body"), estimate.std("head")
-    absent, absent_pair = np.full(len(at), np.nan), np.full((len(at), 2), np.nan)
+    absent_pair = np.full((len(at), 2), np.nan)
     velocity = absent_pair if estimate.velocity is None else estimate.velocity[at]
     ellipse = probability_ellipse(
         np.full((len(at), 2, 2), np.nan) if estimate.covariance is None else estimate.covariance[at, :2, :2]
@@ -430,8 +431,8 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp], sensors: Sequence[str]
         "tilt": ellipse.angle,
         "heading": heading,
         "heading_std": heading_std,
-        "body": absent if estimate.body is None else estimate.body[at],
-        "head": absent if estimate.head is None else estimate.head[at],
+        "body": known_angle(estimate, "body")[at],
+        "head": known_angle(estimate, "head")[at],
         "body_std": body_std[at],
         "head_std": head_std[at],
         "seen_tilt": observed.angle,

@@ -7,6 +7,7 @@ their path.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from graphtrack.tracks.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from graphtrack.tracks.track import Track
 
 
 TRUTH_COLOUR: Final = "#000000"
@@ -219,3 +222,15 @@ def angle_bands(t: FloatArray, angle: FloatArray, half_width: FloatArray) -> lis
                 if part.stop - part.start > 1
             ]
     return pieces
+
+
+KNOWN_ANGLE = math.radians(60.0)
+"""1-σ from which a direction is not drawn: an arrow would say more than is known."""
+
+
+def known_angle(track: Track, name: str) -> FloatArray:
+    """Return "body" or "head" of n frames (n,) in radians, NaN where its 1-σ is not below `KNOWN_ANGLE`."""
+    angle = getattr(track, name)
+    if angle is None:
+        return np.full(len(track), np.nan)
+    return np.where(track.std(name) >= KNOWN_ANGLE, np.nan, angle)

@@ -551,6 +551,10 @@ def settings_of(
     """
     flat: dict[str, Any] = {"engine": engine, "lag": lag, "fps": fps}
     flat["homography"] = None if camera is None else camera.homography.tolist()
+    if camera is not None and camera.intrinsics is not None:
+        flat["intrinsics"] = camera.intrinsics.tolist()
+        flat["distortion"] = None if camera.distortion is None else camera.distortion.tolist()
+        flat["lens"] = camera.lens
     for name, value in model.to_dict().items():
         if isinstance(value, dict):
             flat |= {f"model.{name}.{key}": one for key, one in value.items()}

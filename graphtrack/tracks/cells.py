@@ -393,8 +393,10 @@ def known_ids(
 ) -> NDArray[np.int64]:
     """Return a column of people as (n,) track ids: an identity of ``ids``, or a whole number."""
     if ids:
-        given = cells.columns[name].tolist()
-        numbered = [str(ids.get(str(cell).strip(), cell)) for cell in given]
+        given = ["" if is_missing(cell) else str(cell).strip() for cell in cells.columns[name].tolist()]
+        unknown = np.array([bool(cell) and cell not in ids and parse_number(cell) is None for cell in given])
+        cells.refuse(unknown, name, f"one of the people {listed(ids)}")
+        numbered = [str(ids.get(cell, cell)) for cell in given]
         columns = {**cells.columns, name: np.array(numbered, dtype=object)}
         cells = replace(cells, columns=columns, floats=lambda _: None)
     return integers(cells, name, missing)

@@ -89,7 +89,51 @@ def times_of(frame: NDArray[np.int64], frames: NDArray[np.int64], t: FloatArray)
     return np.where(np.isin(frame, frames), found, np.round(found, 9))
 
 
-def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[TrackSet, tuple[str, ...]]:
+def without_absences(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[TrackSet, tuple[str, ...]]:
+    """Leave out rows without an observation, such as empty cells, of people who are absent for so long.
+
+    Then they are as a table without these rows: the posterior there is uninformative.
+
+    Returns
+    -------
+    TrackSet
+    tuple of str
+        A note, if rows were left out.
+    """
+    kept: list[Track] = []
+    absent: list[str] = []
+    for track in tracks:
+        empty = ~_was_observed(track)
+        # Runs of empty rows, with the observations before and after.
+        starts = np.flatnonzero(np.diff(empty.astype(np.int8), prepend=0) == 1)
+        ends = np.flatnonzero(np.diff(empty.astype(np.int8), append=0) == -1)
+        left_out = np.zeros(len(track), bool)
+        for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
+            before, after = max(first - 1, 0), min(last + 1, len(track) - 1)
+            if track.t[after] - track.t[before] > longest + TIME_TOLERANCE:
+                left_out[first : last + 1] = True
+        if left_out.any() and not left_out.all():
+            absent.append(tracks.names[track.track_id])
+            track = track[~left_out]
+        kept.append(track)
+    if not absent:
+        return tracks, ()
+    rows = counted(tracks.n_frames - sum(map(len, kept)), "row")
+    note = f"{rows} left out, in which {listed(absent)} had no observation for more than {longest:g} s"
+    return tracks.with_tracks(kept), (note,)
+
+
+def _was_observed(track: Track) -> NDArray[np.bool_]:
+    """Return (n,) whether a row has an observation of the place, the body or the head."""
+    channels = ["position", "pixel", "observed_velocity"]
+    channels += ["body", "body_axis", "body_likelihood", "head", "head_likelihood"]
+    given = [values for name in channels if (values := getattr(track, name)) is not None]
+    known = [np.isfinite(values.reshape(len(track), -1)).all(axis=1) for values in given]
+    found: NDArray[np.bool_] = np.logical_or.reduce(known)
+    return found
+
+
+def split_at_gaps(tracks: TrackSet, longest: float | None = None) -> tuple[TrackSet, tuple[str, ...]]:
     """Split tracks whose id comes back after a long gap, or where nobody walks to in the time.
 
     Nobody walks further than `_JUMP` metres and `_WALKED` times what the person covers in a second, at least
@@ -98,7 +142,8 @@ def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[Tr
 
     Parameters
     ----------
-    longest : seconds of a gap within a track
+    longest : seconds of a gap within a track; None: `LONGEST_FILLED`, and identities that are text, which
+        are names, come back as the same person however long they were absent
 
     Returns
     -------
@@ -107,6 +152,7 @@ def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[Tr
     tuple of str
         A note on each reason to split.
     """
+    names_stay, longest = longest is None, LONGEST_FILLED if longest is None else longest
     if not longest > 0.0:
         raise InputError(f"split_gap = {longest:g}", "a positive number of seconds")
     free = count(max((track.track_id for track in tracks), default=0) + 1)
@@ -115,6 +161,8 @@ def split_at_gaps(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple[Tr
     absent, jumped = [], []
     for track in tracks:
         gap, jump = np.diff(track.t) > longest + TIME_TOLERANCE, _jumps(track)
+        if names_stay and track.track_id in names:
+            gap[:] = False
         name = names.get(track.track_id, str(track.track_id))
         absent += [name] * bool(gap.any())
         jumped += [name] * bool((jump & ~gap).any())

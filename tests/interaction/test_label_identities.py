@@ -71,3 +71,31 @@ def test_lists_of_groups_have_names_too(named: Path) -> None:
     labels.write_text("anna carl\n")
     with pytest.raises(InputError, match="line 1: found 'carl', expected the id of a person"):
         gt.read_groups(labels, ids)
+
+
+def test_groups_have_names_and_times_and_gaze_has_places(named: Path) -> None:
+    tracks = gt.read(named)
+    labels, gaze, places = (named.with_name(f"{name}.csv") for name in ("groups", "gaze", "places"))
+    rows = [
+        {"t": 0.1 * k, "track_id": one, "group": {"anna": "by the bar", "bert": "by the bar"}.get(one)}
+        for k in range(40)
+        for one in NAMES
+    ]
+    pd.DataFrame(rows).to_csv(labels, index=False)
+    found = gt.groups(tracks)
+    true = gt.read_groups(labels, tracks.ids).labels(found.frame, found.t, found.track_id)
+    assert gt.score_groups(found.frame, found.track_id, found.group, true).pair_f1 == 1.0
+    places.write_text("name,x,y,radius\nposter,6,9,0.5\n")
+    looks = {"anna": "bert", "bert": "anna", "P03": "poster"}
+    table = [{"frame": k, "track_id": one, "target": at} for k in range(40) for one, at in looks.items()]
+    pd.DataFrame(table).to_csv(gaze, index=False)
+    read = gt.read_gaze(gaze, tracks.ids)
+    assert read.places == ("poster",)
+    assert gt.score_gaze(gt.attention(tracks, str(places)), read).right == 1.0
+    with pytest.raises(InputError, match="gaze target 'poster', expected a person, a place or nobody"):
+        gt.score_gaze(gt.attention(tracks), read)
+    pd.DataFrame([{"frame": 0, "track_id": "anna", "target": "nobody"}]).to_csv(gaze, index=False)
+    assert gt.read_gaze(gaze, tracks.ids).target.tolist() == [-1]
+    pd.DataFrame([{"frame": 0, "track_id": "carl", "target": "nobody"}]).to_csv(gaze, index=False)
+    with pytest.raises(InputError, match="column track_id: found 'carl', expected one of the people anna"):
+        gt.read_gaze(gaze, tracks.ids)

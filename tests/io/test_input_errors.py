@@ -344,7 +344,7 @@ SMALL_TABLES = [
     (read_groups, "0.0 < ID_001 >\n0.0 < ID_001 >\n", "line 2: found 0, expected a time after"),
     (read_groups, "1 2\n2 3\n", "line 2: found person 2 in a second group"),
     (read_groups, "frame,track_id,group\n0,1,0\n0,1,1\n", "line 3: found person 1 twice in frame 0"),
-    (read_groups, "frame,track_id,group\n0,1,a\n", "line 2, column group: found 'a'"),
+    (read_groups, "frame,track_id,group\n0,1,1.5\n", "line 2, column group: found '1.5'"),
     (read_groups, "\n", "expected groups"),
     (read_places, "name,x,y,radius\na,0,0,\n", "line 2: found place 'a' with neither radius nor polygon"),
     (read_places, "name,x,y,radius\na,0,0,0\n", "line 2, column radius: found 0, expected metres above 0"),
@@ -361,7 +361,7 @@ SMALL_TABLES = [
     (
         read_gaze,
         "frame,track_id,target\n1,1,-2\n",
-        "line 2, column target: found '-2', expected an id, or -1",
+        "line 2, column target: found '-2', expected an id, the name of a place, or -1",
     ),
     (
         read_gaze,

@@ -96,7 +96,7 @@ def test_sections_say_what_was_given(report):
     assert [section.title for section in report.sections][:3] == ["Groups", "Gaze", "Forecasts"]
     (group,) = table(report, "All groups")
     assert group["who"] == "1, 2" and group["kind"] == "conversing" and group["to (s)"] == pytest.approx(7.6)
-    dwell = table(report, "Dwell times")
+    dwell = table(report, "Gaze at places")
     assert {(row["place"], row["seconds"]) for row in dwell} == {("bar", 1.6)}  # 8 s, 0.2 of them
     looks = {row["person"]: row for row in table(report, "Gaze of each person")}
     assert looks["1"]["looks most at"] == "2" and looks["1"]["for (s)"] == pytest.approx(4.8)
@@ -113,7 +113,7 @@ def test_probable_looks_at_a_place_are_intervals(tracks):
     share[5:10, len(first.people)] = 1.0
     found[0] = replace(first, probability=share)
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, attention=found, places=[BAR]))
-    (row,) = [row for row in table(report, "Dwell times") if row["person"] == "1"]
+    (row,) = [row for row in table(report, "Gaze at places") if row["person"] == "1"]
     assert row["looks"] == 1 and row["likelier than not (s)"] == "1.8–3.8"
 
 
@@ -132,7 +132,7 @@ def test_the_order_of_a_table_is_without_effect(report, tracks, tmp_path):
     again = tracking_report(tracks, behaviour=behaviour_of(tracks, places=[BAR, SCREEN], **files))
     assert again.replay == report.replay
     assert table(again, "All groups") == table(report, "All groups")
-    assert table(again, "Dwell times") == table(report, "Dwell times")
+    assert table(again, "Gaze at places") == table(report, "Gaze at places")
 
 
 def test_tables_are_read_as_they_were_written(tracks, tmp_path):
@@ -366,7 +366,7 @@ def test_looks_and_forecasts_of_others_are_refused(tracks):
 @pytest.mark.slow
 def test_looks_at_places_that_nobody_gave_are_counted_and_in_no_map(tracks):
     report = tracking_report(tracks, behaviour=behaviour_of(tracks, attention=looking(tracks, (BAR,))))
-    assert len(table(report, "Dwell times")) == 4
+    assert len(table(report, "Gaze at places")) == 4
     assert "No position of bar was given" in render_report(report)
     assert report.replay["people"][0]["look_1"] is None
 

@@ -22,6 +22,7 @@ from graphtrack.report.style import (
     NEUTRAL_COLOUR,
     TRUTH_COLOUR,
     finite_runs,
+    known_angle,
     longest_step,
     new_figure,
     open_holes,
@@ -287,8 +288,8 @@ def _draw_heading(
     axes: Axes, estimate: Track, name: str, at: NDArray[np.intp], size: float, inch: float
 ) -> None:
     """Draw arrows of one length on paper, next to the path, which they would otherwise hide."""
-    angles = getattr(estimate, name)
-    at = at[np.isfinite(angles[at])] if angles is not None else at[:0]
+    angles = known_angle(estimate, name)
+    at = at[np.isfinite(angles[at])]
     if not len(at):
         return
     # The head is drawn last, shorter and thinner: both stay visible when they point the same way.
