@@ -116,8 +116,12 @@ def with_identities(rows: Rows, scene: GivenScene = None, sensors: Sensors = NO_
     if declared is not None:
         std = rows.channels.get("position_std", np.full(len(rows), np.nan))
         rows = rows.with_channels(position_std=np.where(np.isnan(std), declared, std))
-    note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
-    return rows.keep(identity >= 0, FALSE).with_notes(note, learned_scene(found.scene))
+    notes = [f"associated {len(rows)} detections: {people} people; {false} {FALSE}"]
+    if false > 0.5 * len(rows):
+        notes.append(
+            f"most detections are {FALSE}: are the scale (--homography, --units) and the rate (--fps) right?"
+        )
+    return rows.keep(identity >= 0, FALSE).with_notes(*notes, learned_scene(found.scene))
 
 
 def with_repaired_identities(rows: Rows, scene: GivenScene = None, sensors: Sensors = NO_SENSORS) -> Rows:

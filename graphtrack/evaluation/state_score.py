@@ -128,6 +128,8 @@ def state_errors(estimates: TrackSet, truth: TrackSet, threshold: Threshold) -> 
             track, person = part[0, [0, 2]].tolist()
             unmatched[track][part[:, 1]] = False
             pieces[person].append((estimates[track], part[:, 1], part[:, 3]))
+    # Identities of associated detections mean nothing in another file.
+    shared = shared and all(track.identity_p is None for track in estimates)
     of_id = {track.track_id: person for person, track in enumerate(true)}
     far = omitted = 0
     for track, alone in zip(estimates, unmatched, strict=True):
@@ -150,8 +152,9 @@ def summary(sequences: Iterable[Compared], threshold: Threshold) -> StateScore:
     people = [person for part in parts for person in part.people]
     far, omitted = sum(part.far for part in parts), sum(part.omitted for part in parts)
     if not people:
-        reason = f"no row matches a person {threshold} at the same time"
-        return StateScore((), (f"errors of the states: {reason}, and no track_id is the same in both",))
+        reason = f"no row matches a person {threshold} at the same time, nor by track_id"
+        ground = "the same ground (--homography, --calibration), units and times?"
+        return StateScore((), (f"errors of the states: {reason}; are both on {ground}",))
     rows, notes = [], []
     if far:
         notes.append(f"{counted(far, 'row')} not {threshold} of anybody: compared by track_id")

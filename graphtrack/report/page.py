@@ -233,7 +233,8 @@ def observed_section(calibration: Records) -> tuple[Section, ...]:
     note = Note(
         "Each observation is compared with its prediction from all others, with the noise that is declared "
         "or was learned. On the grey line, 95 % of the observations lie in the intervals of 95 %: the "
-        "uncertainties are calibrated. No truth is needed; errors that all observations share do not show."
+        "uncertainties are calibrated. No truth is needed. Errors that all observations share "
+        "do not show, nor do errors that last for several frames, which look like motion."
     )
     table = _reliability(rows, without=("method",))
     shown = Picture(words, plot_reliability(rows, "observations"))

@@ -42,6 +42,12 @@ if TYPE_CHECKING:
 
 _STAGES = 7
 
+UNADAPTED = (
+    "the package's models learned from rendered people, and their directions can be wrong for long on a camera "
+    "that they do not know, front and back swapped: --keypoints of a pose network, or --adapt, is better"
+)
+"""What is assumed where directions are of the package's models alone."""
+
 
 def report(
     source: VideoOrLive,
@@ -382,6 +388,8 @@ class _Run:
                 write(tracks, place)
                 cut = cut_note(journal)
             left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
+            if not (self.networks.has_keypoints or own_models.is_file()):
+                left_out.append(UNADAPTED)
             return [*tracks.summary.notes, *cut, *left_out, *skipped(refused)]
 
         self.assumed += self.folder.stage("observations", self.clock, ("observations",), work)

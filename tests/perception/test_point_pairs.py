@@ -13,8 +13,8 @@ from command import ran, run
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.geometry.camera import fit_homography
-from graphtrack.io.cameras import read_calibration
+from graphtrack.geometry.camera import GroundCamera, fit_homography
+from graphtrack.io.cameras import camera_of_point_pairs, read_calibration
 from perception.ground.fitting import PinholeView
 from perception.ground.point_pairs import view_of_point_pairs
 
@@ -122,3 +122,19 @@ def test_the_page_fits_as_python_does(video: Path) -> None:
     assert none is None and max(errors) == pytest.approx(expected.max_error, rel=0.5)
     Path("page.js").write_text(script[1], encoding="utf-8")
     assert subprocess.run([node, "--check", "page.js"], check=False).returncode == 0
+
+
+def test_the_one_pair_that_the_others_contradict_is_named(tmp_path: Path) -> None:
+    numbers = [[0.01, 0.001, -4.0], [0.0005, -0.02, 9.0], [1e-5, -0.0012, 1.0]]
+    camera = GroundCamera.from_homography(numbers, visible=np.array([[320.0, 400.0]]))
+    pixel = np.array([[u, v] for u in (100.0, 320.0, 540.0) for v in (300.0, 400.0, 500.0)])
+    ground = camera.image_to_ground(pixel) + np.random.default_rng(0).normal(0.0, 0.02, (9, 2))
+    place = tmp_path / "pairs.txt"
+
+    def notes() -> str:
+        np.savetxt(place, np.hstack([pixel, ground]), fmt="%.4f")
+        return " ".join(camera_of_point_pairs(place)[1])
+
+    assert "from where the others place it" not in notes()
+    ground[4] += 3.0
+    assert f"the pair 320 400 {ground[4, 0]:g}" in notes() and "from where the others place it" in notes()
