@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 _STAGES = 7
 
 UNADAPTED = (
-    "the package's models learned from rendered people, and their directions can be wrong for long on a camera "
-    "that they do not know, front and back swapped: --keypoints of a pose network, or --adapt, is better"
+    "directions are of the package's models, which learned from rendered people and are not adapted to this "
+    "camera: they can be wrong for long, front and back swapped; --keypoints of a pose network are better"
 )
 """What is assumed where directions are of the package's models alone."""
 
