@@ -26,7 +26,7 @@ from graphtrack.io.read_write import (
 )
 from graphtrack.tracks.cells import rows_of_table
 from graphtrack.tracks.detections import APPEARANCE, Detections, frames_between
-from graphtrack.tracks.display import listed
+from graphtrack.tracks.display import counted, listed
 from graphtrack.tracks.gaps import (
     FASTEST,
     frames_increase,
@@ -223,6 +223,10 @@ def _check_times(rows: Rows) -> None:
 def detections_of(rows: Rows, sensors: Sensors = NO_SENSORS) -> tuple[Rows, Detections]:
     """The usable rows, and their channels that the evidence reads; ``sensors`` as of `associated`."""
     rows = usable(rows)
+    if not len(rows):
+        why = ", ".join(f"{counted(n, 'row')} {reason}" for reason, n in rows.refused.items())
+        others = "; --class NAME reads others" if " of c" in why else ""
+        raise InputError(f"no detections ({why or 'no rows'})", f"at least one{others}", path=rows.path)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
     if "position_covariance" in rows.channels:
         std = of_axes(rows.channels.get("position_std"), rows.channels["position_covariance"])

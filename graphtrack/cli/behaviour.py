@@ -229,7 +229,8 @@ def attention(
     if score is not None:
         print_table(f"Gaze against the truth, {counted(score.frames, 'label')}", score.shown())
     if json_path is not None:
-        write_json(json_path, summary_of(found).to_dict())
+        named = None if tracks.as_read is None else tracks.as_read.names
+        write_json(json_path, summary_of(found).to_dict(named))
 
 
 def forecast(

@@ -383,15 +383,27 @@ class LookSummary:
     # place → person → seconds, and intervals (from, to) with a probability above one half
     dwell: dict[str, dict[int, tuple[float, list[tuple[float, float]]]]]
 
-    def to_dict(self) -> dict[str, Any]:
-        """For a JSON file."""
+    def to_dict(self, names: Mapping[int, str] | None = None) -> dict[str, Any]:
+        """For a JSON file; ``names``: of people whom their file names, by track id."""
+        known = {} if names is None else {str(track_id): name for track_id, name in names.items()}
+
+        def called(person: int) -> int | str:
+            return known.get(str(person), person)
+
         return {
-            "people": list(self.people),
-            "targets": list(self.targets),
+            "people": [called(one) for one in self.people],
+            "targets": [known.get(one, one) for one in self.targets],
             "seconds": np.round(self.matrix, 3).tolist(),
-            "mutual": [{"a": a, "b": b, "seconds": round(s, 3)} for (a, b), s in self.mutual.items()],
+            "mutual": [
+                {"a": called(a), "b": called(b), "seconds": round(s, 3)} for (a, b), s in self.mutual.items()
+            ],
             "dwell": [
-                {"place": place, "track_id": person, "seconds": round(seconds, 3), "intervals": intervals}
+                {
+                    "place": place,
+                    "track_id": called(person),
+                    "seconds": round(seconds, 3),
+                    "intervals": intervals,
+                }
                 for place, people in self.dwell.items()
                 for person, (seconds, intervals) in people.items()
             ],
