@@ -160,8 +160,9 @@ def at_shared_times(estimates: TrackSet, truth: TrackSet) -> tuple[TrackSet, Tra
         )
         for side, step in zip((estimates, truth), steps, strict=True)
     ]
-    rates = " and ".join(f"{1.0 / step:.3g} Hz" for step in steps)
-    note = f"frame numbers are not of the same times (estimates and truth at {rates}): compared by time"
+    rates = list(dict.fromkeys(f"{1.0 / step:.3g} Hz" for step in steps))
+    both = f"both at {rates[0]}" if len(rates) == 1 else f"estimates and truth at {' and '.join(rates)}"
+    note = f"frame numbers are not of the same times ({both}): compared by time"
     return found[0], found[1], note
 
 
