@@ -46,7 +46,7 @@ PersonHeight = Annotated[
 def calibrate(
     source: VideoOrFolder,
     output: options.OutputPath,
-    boxes: options.InputFile | None = None,
+    boxes: Annotated[Path | None, typer.Option(exists=True)] = None,
     point_pairs: options.InputFile | None = None,
     frame: Annotated[int | None, typer.Option(min=0)] = None,
     person_height: PersonHeight = 1.7,
@@ -60,7 +60,8 @@ def calibrate(
 
     Parameters
     ----------
-    boxes : MOT text, COCO JSON or CAVIAR XML with people's boxes, with or without identities.
+    boxes : MOT text, COCO JSON, CAVIAR XML, a table with named columns or a folder of YOLO's labels, with
+        people's boxes, with or without identities.
     point_pairs : File with rows 'u v X Y': pixels of points on the ground, and X and Y in metres.
     frame : Number of the frame of the page; by default the first.
     output : Calibration to write (.ci), or the page to click points on (.html).
@@ -76,14 +77,14 @@ def calibrate(
         return
     if point_pairs is not None:
         raise InputError("--boxes and --point-pairs", "one of them")
-    from perception.detection.boxes import read_boxes
     from perception.ground.calibration import found_view
     from perception.images.frames import FrameSource
 
     check_output_paths({"--output": output}, None, source, {"--boxes": boxes})
     frames = FrameSource.open(source)
     refused: dict[str, None] = {}
-    people = read_boxes(boxes, refused.setdefault)
+    people = read_given_boxes(boxes, frames, None, refused.setdefault)
+    assert people is not None
     found = found_view(people, frames.size(), np.random.default_rng(seed), person_height)
     found.write(output)
     report_skipped(refused)
