@@ -164,6 +164,9 @@ def read_groups(path: str | Path, ids: Mapping[str, int] | None = None) -> Group
     first = lines[0][1]
     if _has(_OF_PEOPLE, first):
         return _read_table(source.path, ids or {})
+    if "group" in first and "<" not in first:
+        expected = "the columns frame or t, track_id and group, separated by commas"
+        raise source.fail(repr(first.strip()[:60]), expected, line=lines[0][0])
     return _read_salsa(source, lines, ids or {}) if "<" in first else _read_lines(source, lines, ids or {})
 
 

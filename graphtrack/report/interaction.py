@@ -140,7 +140,7 @@ def with_observed_angles(estimates: TrackSet, observed: TrackSet) -> TrackSet:
         heads = (given.head, given.head_likelihood)
         if not any(values is not None and np.isfinite(values).any() for values in heads):
             return track
-        return replace(given, position=track.position)
+        return replace(given, position=track.position, pixel=None)
 
     return estimates.map(people)
 

@@ -68,6 +68,9 @@ def test_lists_of_groups_have_names_too(named: Path) -> None:
     ids = gt.read(named).ids
     (step,) = gt.read_groups(labels, ids).steps
     assert step.groups == (frozenset({ids["anna"], ids["bert"]}),)
+    labels.write_text("t;id;group\n0;anna;1\n")
+    with pytest.raises(InputError, match="line 1: found 't;id;group', expected the columns frame or t"):
+        gt.read_groups(labels, ids)
     labels.write_text("anna carl\n")
     with pytest.raises(InputError, match="line 1: found 'carl', expected the id of a person"):
         gt.read_groups(labels, ids)
