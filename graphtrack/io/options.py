@@ -278,6 +278,9 @@ class ReadOptions:
             raise InputError(f"pose_axes = {self.pose_axes!r}", f"one of {', '.join(get_args(PoseAxes))}")
         if self.pose_axes is not None and not isinstance(self.poses, str | Path):
             raise InputError("pose_axes without a file of poses", "poses, the path of a file")
+        if self.camera is not None and not isinstance(self.camera, GroundCamera):
+            expected = "a GroundCamera; files are homography, point_pairs or calibration"
+            raise InputError(f"camera = {self.camera!r}", expected)
         paths = self.poses.values() if isinstance(self.poses, Mapping) else [self.poses]
         if not all(one is None or isinstance(one, str | Path | PosePath) for one in paths):
             raise InputError("poses of another type", "a file, a PosePath, or name of a sensor → PosePath")

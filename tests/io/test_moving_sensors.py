@@ -337,6 +337,8 @@ def test_options_that_do_not_fit_are_refused(tmp_path):
         gt.read(rows(), poses=poses, pose_axes="boat")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="poses of another type"):
         gt.read(rows(), poses=3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="camera = 'x', expected a GroundCamera; files are homography"):
+        gt.read(rows(), camera="x")  # type: ignore[arg-type]
 
 
 def test_commands_read_with_poses(tmp_path):
