@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import run
 from crossing_people import street
 from hypothesis import given
 from hypothesis import strategies as st
@@ -396,3 +397,21 @@ def test_what_cannot_be_used_is_told_and_changes_nothing(
     assert told in wrong["error"]
     assert wrong["line"] == len(rows) + 1
     assert [one for one in found if "error" not in one] == undisturbed
+
+
+def test_a_stream_takes_every_camera_that_files_take(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plane = np.array([[0.01, 0.001, -4.0], [0.0005, -0.02, 14.0], [1e-5, 0.0012, 0.1]])
+    pixel = np.array([[100.0, 300.0], [540.0, 300.0], [540.0, 500.0], [100.0, 500.0]])
+    ground = GroundCamera.from_homography(plane, visible=pixel).image_to_ground(pixel)
+    np.savetxt("plane.txt", plane)
+    np.savetxt("pairs.txt", np.hstack([pixel, ground]))
+    rows = [{"track_id": 1, "t": 0.4 * k, "u": 300.0 + 5.0 * k, "v": 400.0} for k in range(6)]
+
+    def places(*camera: str) -> np.ndarray:
+        done = run("track", "-", "--model", "position", *camera, program="graphtrack", rows=rows)
+        assert done.returncode == 0, done.stderr
+        return np.array([(one["x"], one["y"]) for one in map(json.loads, done.stdout.splitlines())])
+
+    np.testing.assert_allclose(places("--point-pairs", "pairs.txt"), places("--homography", "plane.txt"))
+    np.testing.assert_allclose(places("--metres-per-pixel", "0.01")[0], [3.0, -4.0])
