@@ -636,7 +636,7 @@ def rows_of_cells(
     fps : frames a second, for a table without times
     reference : layout of another table with the same origins of time and position
     strict : whether the table has to be native: times are numbers, identities too unless the first is text,
-        and frames are not numbered
+        and frames of people with identities are not numbered
     """
     wide = bool(layout.wild)
     if layout.by_number and not cells.numbered and layout.of_names(cells.columns):
@@ -676,7 +676,7 @@ def rows_of_cells(
             columns[native] = np.rad2deg(columns.pop(key))
     if layout.metre != 1.0:
         columns |= {key: columns[key] * layout.metre for key in LENGTHS if key in columns}
-    if not strict:
+    if not strict or "track_id" not in columns:
         with_frames(columns, cells, named, fps, notes)
     used = set(named.values())
     further = set(cells.columns) - used - {IDENTITY}

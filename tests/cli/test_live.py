@@ -213,7 +213,7 @@ def test_a_state_of_other_options_is_refused_by_name(track, state, cwd, changed,
     options = [word for pair in (SAME | changed).items() for word in pair]
     status, answers, said = track([], *options, "--state", "state")
     assert (status, answers) == (2, [])
-    assert said.startswith("error: state: found a state with ") and told in said
+    assert "error: state: found a state with " in said and told in said
     assert state.read_bytes() == before
 
 

@@ -471,3 +471,10 @@ def test_half_a_position_is_none(pair: str, ending: str, tmp_path: Path) -> None
     pd.testing.assert_frame_equal(found.to_table(), expected.to_table())
     (note,) = set(found.summary.notes) - set(expected.summary.notes)
     assert note.startswith("3 rows with only one of ") and note.endswith("without a position")
+
+
+def test_detections_with_times_alone_are_read(tmp_path):
+    (tmp_path / "scan.csv").write_text("t,x,y\n0,0,0\n0,1,1\n0.1,0.1,0\n0.1,1.1,1\n")
+    found = gt.associate(tmp_path / "scan.csv")
+    assert [len(one) for one in found] == [2, 2]
+    np.testing.assert_allclose(found[0].t, [0.0, 0.1])

@@ -606,3 +606,16 @@ def test_without_the_extra_the_error_names_it(tmp_path):
     code += "except gt.InputError as error: print(error)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert "graphtrack[ros]" in done.stdout, done.stderr
+
+
+def test_heads_that_nobody_knows_are_written_and_read_as_none(tmp_path):
+    smoothed = gt.smooth(gt.TrackSet((walk_of(30),)), "joint")
+    gt.write(smoothed, tmp_path / "tracks.mcap")
+    (back,) = gt.read(tmp_path / "tracks.mcap")
+    assert np.isfinite(smoothed[0].head).all() and smoothed[0].std("head").min() > 1.8
+    assert back.head is None or np.isnan(back.head).all()
+
+
+def walk_of(n):
+    t = 0.1 * np.arange(n)
+    return Track(1, np.arange(n), t, np.column_stack([0.0 * t, 0.0 * t]))

@@ -291,7 +291,8 @@ def stamp_of(header: Any) -> int:
 def frame_of(message: Any, kind: str) -> PeopleMessage:
     """Return the sightings of a message of one of the types `OF_PEOPLE`."""
     header = message.header
-    return PeopleMessage(stamp_of(header), header.frame_id.lstrip("/"), list(_READERS[kind](message)))
+    people = [_without_unknown(one) for one in _READERS[kind](message)]
+    return PeopleMessage(stamp_of(header), header.frame_id.lstrip("/"), people)
 
 
 def _place(point: Any) -> tuple[float, float, float]:
@@ -306,14 +307,20 @@ def _posed(pose: Any, covariance: Any = _UNKNOWN) -> PersonSighting:
     return PersonSighting("", _place(pose.position), _turn(pose.orientation), covariance)
 
 
-_LARGEST_VARIANCE = np.pi**2 / 3.0  # of any direction, rad²
+_LARGEST_VARIANCE = 0.999 * np.pi**2 / 3.0  # of any direction, rad², with rounding
 
 
 def _tracked(one: Any) -> PersonSighting:
-    """Return a tracked person; an orientation whose variance is that of any direction is none."""
+    """Return a tracked person, whose orientation is known where its variance is."""
     found = _posed(one.pose.pose, one.pose.covariance)._replace(name=str(one.track_id))
-    is_turned = 0.0 < one.pose.covariance[35] < _LARGEST_VARIANCE
-    return found if is_turned else found._replace(turn=_NOT_ROTATED)
+    return found if one.pose.covariance[35] > 0.0 else found._replace(turn=_NOT_ROTATED)
+
+
+def _without_unknown(one: PersonSighting) -> PersonSighting:
+    """Return a sighting without an orientation whose variance is that of any direction."""
+    if one.covariance[35] >= _LARGEST_VARIANCE:
+        one = one._replace(turn=_NOT_ROTATED)
+    return one._replace(head=_NOT_ROTATED) if one.head_covariance[35] >= _LARGEST_VARIANCE else one
 
 
 def _of_detections(message: Any) -> Iterator[PersonSighting]:
