@@ -1,0 +1,245 @@
+"""Calibrated confidence: the probability that a tracker's box is on its target, and the loss of the target.
+
+The trackers' own confidences compare boxes within one filter: they remain near 1 on the background. Here a
+logistic function of six features of the estimate and of the pixels in its box is fitted to rendered and real
+sequences (`perception.experiments.following`). A box is on the target if its middle is in the true box.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from graphtrack.geometry.angles import FloatArray
+from perception.detection.hog import WindowFilter, person_score
+from perception.following.ground import PERSON_IN_HEADS
+from perception.images.pixels import Image, grey
+from perception.models import model_path
+from perception.storage import ModelCard, Stored
+from perception.trackers.color import bhattacharyya, box_colours, hue_bins
+from perception.trackers.registry import OF_HEADS, WITH_BACKGROUND
+from perception.trackers.tracker import BoxEstimate
+
+FEATURES = ("tracker", "person", "change", "colours", "surroundings", "spread")
+"""Log odds of the tracker's own confidence; score of the person detector at the box; share of the box's
+pixels that differ from a second ago; likeness of its colours to those of the first box, and to those around
+the box; logarithm of the particles' spread in boxes. The confidence rises with the first four, and falls
+with the other two."""
+_SIGNS = np.array([1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+_PERSON = FEATURES.index("person")
+_RANGES = np.array([(-4.0, 6.0), (-3.0, 1.5), (0.0, 0.5), (0.0, 1.0), (0.0, 1.0), np.log([0.01, 2.0])])
+"""Least and largest value of each feature."""
+
+_SECOND, _AVERAGED = 1.0, 0.3
+"""Seconds between the compared images; time constant of the averaging of features, seconds."""
+_DIFFERENT, _WIDTH = 15, 640
+"""Grey levels by which a pixel differs; width in pixels to which larger images are reduced for that."""
+_ROUNDING = 1e-6
+_PENALTY = 1.0
+
+KINDS = {"heads": OF_HEADS, "people": WITH_BACKGROUND, "color": ("color",)}
+"""Trackers that share coefficients."""
+
+
+def kind_of(tracker: str) -> int:
+    """Return the row of a tracker's coefficients."""
+    return next(k for k, names in enumerate(KINDS.values()) if tracker in names)
+
+
+class Evidence:
+    """Features of one target's boxes, averaged over about 0.3 s.
+
+    Parameters
+    ----------
+    tracker : name of the tracker; boxes of "color" may be those of heads or of people
+    later : image about a second after the first one, which the first second is compared with
+    """
+
+    def __init__(self, tracker: str, later: Image | None = None) -> None:
+        self._shares = {"heads": (PERSON_IN_HEADS,), "people": (1.0,), "color": (1.0, PERSON_IN_HEADS)}[
+            list(KINDS)[kind_of(tracker)]
+        ]
+        self._window = WindowFilter.of_opencv()
+        self._later = None if later is None else _reduced(later)
+        self._past: deque[tuple[float, NDArray[np.uint8]]] = deque()
+        self._colours: FloatArray | None = None
+        self._mean: FloatArray | None = None
+
+    def add(self, image: Image, t: float, estimate: BoxEstimate) -> FloatArray:
+        """Return the features (6,) of an estimate in an image at ``t`` seconds."""
+        box = np.asarray(estimate.box, float)
+        here, around = _colours(image, box)
+        self._colours = here if self._colours is None else self._colours
+        odds = float(logit(np.clip(estimate.confidence, 1e-6, 1.0 - 1e-6)))
+        likeness = bhattacharyya(np.array([self._colours, around]), here)
+        spread = float(np.log(np.mean(estimate.spread / box[2:]) + 1e-9))
+        values = np.array([odds, self._person(image, box), self._change(image, t, box), *likeness, spread])
+        values = np.clip(values, *_RANGES.T)
+        if self._mean is None:
+            self._mean, self._time = values, t
+        share = -np.expm1(-(t - self._time) / _AVERAGED)
+        self._mean, self._time = self._mean + share * (values - self._mean), t
+        return self._mean
+
+    def skip(self, image: Image, t: float) -> None:
+        """Remember an image without an estimate."""
+        self._remember(image, t)
+
+    def likeness(self, image: Image, box: FloatArray) -> float:
+        """Return the likeness (0…1) of a box's colours to those of the first one."""
+        here = _colours(image, box)[0]
+        return 1.0 if self._colours is None else float(bhattacharyya(here[None], self._colours)[0])
+
+    def restart(self) -> None:
+        """Discard the averages, for a box elsewhere."""
+        self._mean = None
+
+    def _person(self, image: Image, box: FloatArray) -> float:
+        left, top, width, height = box.tolist()
+        people = [(left, top, width, share * height) for share in self._shares]
+        return max(person_score(image, person, self._window) for person in people)
+
+    def _change(self, image: Image, t: float, box: FloatArray) -> float:
+        """Return the share of pixels in a box that differ from a second ago."""
+        now = self._remember(image, t)
+        since, before = self._past[0]
+        if self._later is not None and since > t - _SECOND + _ROUNDING:
+            before = self._later
+        scale, bounds = now.shape[1] / image.shape[1], np.array(now.shape[::-1])
+        low = np.clip(np.floor(box[:2] * scale), 0, bounds - 1).astype(int)
+        high = np.clip(np.ceil((box[:2] + box[2:]) * scale), low + 1, bounds).astype(int)
+        part = slice(low[1], high[1]), slice(low[0], high[0])
+        return float(np.mean(cv2.absdiff(now[part], before[part]) > _DIFFERENT))
+
+    def _remember(self, image: Image, t: float) -> NDArray[np.uint8]:
+        """Keep the images of the last second, reduced; return the newest."""
+        if not self._past or t > self._past[-1][0]:
+            self._past.append((t, _reduced(image)))
+        while len(self._past) > 1 and self._past[1][0] <= t - _SECOND + _ROUNDING:
+            self._past.popleft()
+        return self._past[-1][1]
+
+
+def _reduced(image: Image) -> NDArray[np.uint8]:
+    """Return a grey image of `_WIDTH` at most."""
+    small = grey(image)
+    if small.shape[1] <= _WIDTH:
+        return small
+    size = _WIDTH, round(small.shape[0] * _WIDTH / small.shape[1])
+    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _colours(image: Image, box: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return histograms of a box (4,), and of what is around it in a box twice as large."""
+    low = np.clip(np.floor(box[:2] - 0.5 * box[2:]), 0, np.array(image.shape[1::-1]) - 1).astype(int)
+    high = np.clip(np.ceil(box[:2] + 1.5 * box[2:]), low + 1, image.shape[1::-1]).astype(int)
+    left, top, width, height = np.concatenate([box[:2] - low, box[2:]]).tolist()
+    outer = left - width / 2.0, top - height / 2.0, 2.0 * width, 2.0 * height
+    boxes = np.array([(left, top, width, height), outer])
+    here, both = box_colours(hue_bins(image[low[1] : high[1], low[0] : high[0]]), boxes)
+    around = np.maximum(4.0 * both - here, 0.0)
+    return here, around / max(float(around.sum()), 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class FollowConfidence(Stored):
+    """Logistic function of the features, and the reliability of pans.
+
+    Attributes
+    ----------
+    weights : (3, 2, 7) for the `KINDS` of trackers, with and without the detector of people: constant, and
+        coefficients of the `FEATURES`
+    pans : (2, 2) of the pan's posterior and of its likelihood in one frame: exponent, and share of pans that
+        may be anywhere
+    card : fit and reliability
+    """
+
+    kind: ClassVar[str] = "follow_confidence"
+
+    weights: FloatArray
+    pans: FloatArray
+    card: ModelCard = field(default_factory=lambda: ModelCard(FollowConfidence.kind))
+
+    def probability(self, tracker: str, features: FloatArray, *, person: bool = True) -> FloatArray:
+        """Return the probabilities (...,) that boxes with features (..., 6) are on the target.
+
+        ``person``: whether the target is a person, so that the detector counts
+        """
+        weights = self.weights[kind_of(tracker), 0 if person else 1]
+        return np.asarray(expit(weights[0] + features @ weights[1:]), float)
+
+    def judged(self, estimate: BoxEstimate, confidence: float) -> BoxEstimate:
+        """Return an estimate with its calibrated confidence; the distributions of its pan are as sure."""
+        pan, likelihood = (
+            None if values is None else tempered(values, exponent, anywhere, confidence)
+            for values, (exponent, anywhere) in zip(
+                (estimate.pan, estimate.pan_likelihood), self.pans.tolist(), strict=True
+            )
+        )
+        return replace(estimate, confidence=confidence, pan=pan, pan_likelihood=likelihood)
+
+    def parameters(self) -> dict[str, Any]:
+        """Names of trackers and features."""
+        return {"kinds": list(KINDS), "features": list(FEATURES)}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the coefficients."""
+        return {"weights": self.weights, "pans": self.pans}
+
+    @classmethod
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """Return the model of a file."""
+        if card.parameters["kinds"] != list(KINDS) or card.parameters["features"] != list(FEATURES):
+            raise ValueError("other features")
+        return cls(arrays["weights"].astype(float), arrays["pans"].astype(float), card)
+
+
+@lru_cache(maxsize=1)
+def load_confidence() -> FollowConfidence:
+    """Load the coefficients of the package."""
+    return FollowConfidence.load(model_path(FollowConfidence.kind))
+
+
+def tempered(
+    pan: FloatArray, exponent: float, anywhere: float, confidence: float | FloatArray = 1.0
+) -> FloatArray:
+    """Return distributions (..., n) of a pan that is right with a probability: pan^exponent, or anywhere."""
+    sharp = np.maximum(pan, 1e-12) ** exponent
+    right = confidence * (1.0 - anywhere)
+    return np.asarray(right * sharp / sharp.sum(axis=-1, keepdims=True) + (1.0 - right) / pan.shape[-1])
+
+
+def fitted_weights(features: FloatArray, on: FloatArray, counts: FloatArray, *, person: bool) -> FloatArray:
+    """Fit coefficients (7,) to features (n, 6), truth (n,) and weights of samples (n,), with known signs."""
+    rows = np.column_stack([np.ones(len(features)), features])
+
+    def loss(values: FloatArray) -> tuple[float, FloatArray]:
+        odds = rows @ values
+        slopes = np.concatenate([[0.0], values[1:]])
+        cost = counts @ (np.logaddexp(0.0, odds) - on * odds) + 0.5 * _PENALTY * slopes @ slopes
+        return float(cost), rows.T @ (counts * (expit(odds) - on)) + _PENALTY * slopes
+
+    bounds: list[tuple[float | None, float | None]]
+    bounds = [(None, None), *((0.0, None) if sign > 0.0 else (None, 0.0) for sign in _SIGNS)]
+    if not person:
+        bounds[1 + _PERSON] = (0.0, 0.0)
+    return np.asarray(minimize(loss, np.zeros(7), jac=True, bounds=bounds).x, float)
+
+
+def fitted_pan(pan: FloatArray, label: NDArray[np.int64], counts: FloatArray) -> FloatArray:
+    """Fit exponent and share of pans that may be anywhere to distributions (n, k) and true classes (n,)."""
+
+    def loss(values: FloatArray) -> float:
+        right = tempered(pan, float(np.exp(values[0])), float(expit(values[1])))
+        return -float(counts @ np.log(right[np.arange(len(label)), label]))
+
+    found = minimize(loss, np.array([-1.0, -2.0]), method="Nelder-Mead").x
+    return np.array([np.exp(found[0]), expit(found[1])])
