@@ -7,7 +7,7 @@ on the background, where nothing is the target. People and sequences that are ju
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,12 +22,15 @@ from perception.experiments.street_heads import STEP, head_boxes, labelled_runs
 from perception.following.confidence import (
     FEATURES,
     KINDS,
+    START_LEAST,
     Evidence,
     FollowConfidence,
     fitted_pan,
+    fitted_start,
     fitted_weights,
     kind_of,
     load_confidence,
+    relative,
     tempered,
 )
 from perception.images.frames import FrameSource
@@ -41,6 +44,7 @@ from perception.trackers.registry import OF_HEADS, TRACKERS, WITH_BACKGROUND, ma
 
 SEQUENCES = 10
 """Rendered sequences of each kind that the package's confidence is fitted to, and judged on."""
+_BACKGROUND = ", background"
 _NOBODY = np.full(4, np.nan)
 _VISIBLE = 0.3
 """Share of a rendered person that must be visible for a box to be on them."""
@@ -83,6 +87,11 @@ class Samples:
     raw: FloatArray
     pan: FloatArray | None
     label: NDArray[np.int64]
+
+    @property
+    def on_background(self) -> bool:
+        """Return True if the run starts on the background."""
+        return self.name.endswith(_BACKGROUND)
 
 
 def is_on(box: Sequence[float], true: FloatArray) -> bool:
@@ -160,7 +169,7 @@ def _on_background(target: Target, people: FloatArray, size: FloatArray, rng: np
             break
     head = np.concatenate([corner + _HEAD_OF_BODY[:2] * size, _HEAD_OF_BODY[2:] * size])
     nobody = np.full((len(target.images), 4), np.nan)
-    name = f"{target.name}, background"
+    name = target.name + _BACKGROUND
     return Target(
         name, target.images, target.fps, nobody, nobody, np.full(len(nobody), np.nan), np.array([box, head])
     )
@@ -275,9 +284,14 @@ def labelled_targets(
 
 
 def caviar_targets(folder: Path, name: str, people: int) -> list[Target]:
-    """Return people of a recording of CAVIAR's lobby."""
+    """Return the people of a recording of CAVIAR's lobby whose boxes move furthest."""
+
+    def way(person: LabelledPerson) -> float:
+        first, last = (np.array(person.labels[person.numbers[k]][:2]) for k in (0, -1))
+        return float(np.linalg.norm(last - first))
+
     rng, found = np.random.default_rng(len(name)), []
-    for person in recordings(folder, [name], 60)[:people]:
+    for person in sorted(recordings(folder, [name], 60), key=way, reverse=True)[:people]:
         images = [image for image, _ in zip(person.images(), range(150), strict=False)]
         found += labelled_targets("CAVIAR, lobby", person, images, rng)
     return found
@@ -330,20 +344,26 @@ def fitted(runs: Iterable[Samples], card: ModelCard) -> FollowConfidence:
     """Fit the confidence to runs; each counts as 30 frames."""
     runs = [run for run in runs if len(run.on)]
     counts = [np.full(len(run.on), 30.0 / len(run.on)) for run in runs]
-    weights = np.zeros((len(KINDS), 2, 1 + len(FEATURES)))
-    for k in range(len(KINDS)):
-        mine = [i for i, run in enumerate(runs) if kind_of(run.tracker) == k]
-        features, on, count = (
-            np.concatenate(parts)
-            for parts in zip(*((runs[i].features, runs[i].on, counts[i]) for i in mine), strict=True)
+    start, weights = np.zeros((len(KINDS), 4)), np.zeros((len(KINDS), 1 + len(FEATURES)))
+    for kind in range(len(KINDS)):
+        mine = [k for k, run in enumerate(runs) if kind_of(run.tracker) == kind]
+        given = [k for k in mine if runs[k].on[0] and not runs[k].on_background]
+        nobody = [k for k in mine if runs[k].on_background]
+        start[kind] = fitted_start(
+            np.array([runs[k].features[0] for k in (*given, *nobody)]),
+            np.repeat([1.0, 0.0], [len(given), len(nobody)]),
+            np.repeat([1.0, len(given) / max(len(nobody), 1)], [len(given), len(nobody)]),
         )
-        for variant, person in enumerate((True, False)):
-            weights[k, variant] = fitted_weights(features, on, count, person=person)
+        weights[kind] = fitted_weights(
+            np.concatenate([relative(runs[k].features, runs[k].features[0]) for k in given]),
+            np.concatenate([runs[k].on for k in given]),
+            np.concatenate([counts[k] for k in given]),
+        )
     known = [(run.pan, run.label, c) for run, c in zip(runs, counts, strict=True) if run.pan is not None]
     pan, label, count = (np.concatenate(parts) for parts in zip(*known, strict=True))
     labelled = label >= 0
     pans = [fitted_pan(pan[labelled, k], label[labelled], count[labelled]) for k in range(2)]
-    return FollowConfidence(weights, np.array(pans), card)
+    return FollowConfidence(start, weights, np.array(pans), card)
 
 
 def train_confidence(size: int, data: Path | None, progress: Progress) -> FollowConfidence:
@@ -356,7 +376,7 @@ def train_confidence(size: int, data: Path | None, progress: Progress) -> Follow
     model = fitted(runs[0], ModelCard(FollowConfidence.kind))
     figures = {
         f"ECE, {name}": calibration_error(*_judged(model, [run for run in runs[1] if run.name == name]))
-        for name in sorted({run.name for run in runs[1]})
+        for name in _names(runs[1])
     }
     card = ModelCard(
         FollowConfidence.kind,
@@ -366,12 +386,12 @@ def train_confidence(size: int, data: Path | None, progress: Progress) -> Follow
         {"sequences": size},
         figures,
     )
-    return FollowConfidence(model.weights, model.pans, card)
+    return replace(model, card=card)
 
 
 def _judged(model: FollowConfidence, runs: Sequence[Samples]) -> tuple[FloatArray, FloatArray]:
     """Return confidences and truth (n,) of runs."""
-    said = [model.probability(run.tracker, run.features) for run in runs]
+    said = [model.run(run.tracker, run.features) for run in runs]
     return np.concatenate(said), np.concatenate([run.on for run in runs])
 
 
@@ -388,37 +408,64 @@ def tables_of(model: FollowConfidence, runs: Sequence[Samples]) -> list[Table]:
     ----------
     runs : with at least one frame each
     """
-    by_place: list[Row] = []
-    for place, some in (
-        ("rendered", [run for run in runs if run.name.startswith("rendered")]),
-        ("real", [run for run in runs if not run.name.startswith("rendered")]),
-    ):
-        if some:
-            by_place += _curve(place, *_judged(model, some))
-    summary: list[Row] = []
-    for name in sorted({run.name for run in runs}):
-        mine = [run for run in runs if run.name == name]
-        after, on = _judged(model, mine)
-        raw = np.concatenate([run.raw for run in mine])
-        row: dict[str, Cell] = {"sequences": name, "frames": len(on), "on target (%)": 100.0 * on.mean()}
-        for when, said in (("before", raw), ("after", after)):
-            sure = said >= _SURE
-            row |= {
-                f"at least .9 {when} (%)": 100.0 * float(sure.mean()),
-                f"of them on target {when} (%)": 100.0 * float(on[sure].mean()) if sure.any() else None,
-                f"ECE {when}": calibration_error(said, on),
-            }
-        summary.append(row)
+    accepted = [run for run in runs if _start(model, run) >= START_LEAST]
+    curves: list[Row] = []
+    for place in ("rendered", "real"):
+        some = [run for run in accepted if run.name.startswith("rendered") == (place == "rendered")]
+        curves += _curve(place, *_judged(model, some)) if some else ()
+    summary = [_summary(model, name, [run for run in runs if run.name == name]) for name in _names(runs)]
     titles = (
-        "Confidence of perception follow, sequences and people that were not fitted",
-        "The same before and after calibration",
+        "Confidence of perception follow, sequences and people that were not fitted, starts not refused",
+        "Starts that are refused; the frames of the others before and after calibration",
         "Pans of boxes on the target: true pan in the classes that hold 90 % of the probability",
     )
-    parts = (by_place, summary, _pan_rows(model, runs))
+    parts = (curves, summary, _pan_rows(model, accepted))
     return [Table.of(title, rows) for title, rows in zip(titles, parts, strict=True) if rows]
 
 
 _SURE, _HELD = 0.9, 0.9
+
+
+def _names(runs: Sequence[Samples]) -> list[str]:
+    return sorted({run.name for run in runs})
+
+
+def _start(model: FollowConfidence, run: Samples) -> float:
+    """Return the probability of a person in the first box."""
+    return float(model.start_probability(run.tracker, run.features[0]))
+
+
+def _summary(model: FollowConfidence, name: str, runs: Sequence[Samples]) -> Row:
+    accepted = [run for run in runs if _start(model, run) >= START_LEAST]
+    row: dict[str, Cell] = {
+        "sequences": name,
+        "starts": len(runs),
+        "refused (%)": 100.0 * (1.0 - len(accepted) / len(runs)),
+    }
+    if not accepted:
+        return row | dict.fromkeys(_COLUMNS)
+    after, on = _judged(model, accepted)
+    raw = np.concatenate([run.raw for run in accepted])
+    row |= {"frames": len(on), "on target (%)": 100.0 * float(on.mean())}
+    for when, said in (("before", raw), ("after", after)):
+        sure = said >= _SURE
+        row |= {
+            f"at least .9 {when} (%)": 100.0 * float(sure.mean()),
+            f"of them on target {when} (%)": 100.0 * float(on[sure].mean()) if sure.any() else None,
+            f"ECE {when}": calibration_error(said, on),
+        }
+    return row
+
+
+_COLUMNS = (
+    "frames",
+    "on target (%)",
+    *(
+        f"{name} {when}{unit}"
+        for when in ("before", "after")
+        for name, unit in (("at least .9", " (%)"), ("of them on target", " (%)"), ("ECE", ""))
+    ),
+)
 
 
 def _curve(place: str, said: FloatArray, on: FloatArray) -> Iterator[Row]:
@@ -436,15 +483,13 @@ def _curve(place: str, said: FloatArray, on: FloatArray) -> Iterator[Row]:
 
 def _pan_rows(model: FollowConfidence, runs: Sequence[Samples]) -> list[Row]:
     rows: list[Row] = []
-    for name in sorted({run.name for run in runs}):
+    for name in _names(runs):
         mine = [run for run in runs if run.name == name and run.pan is not None and (run.label >= 0).any()]
         if not mine:
             continue
         label = np.concatenate([run.label[run.label >= 0] for run in mine])
         raw = np.concatenate([run.pan[run.label >= 0, 1] for run in mine if run.pan is not None])
-        said = np.concatenate(
-            [model.probability(run.tracker, run.features[run.label >= 0])[:, None] for run in mine]
-        )
+        said = np.concatenate([model.run(run.tracker, run.features)[run.label >= 0, None] for run in mine])
         after = tempered(raw, float(model.pans[1, 0]), float(model.pans[1, 1]), said)
         row: dict[str, Cell] = {"sequences": name, "frames": len(label)}
         for when, pan in (("before", raw), ("after", after)):

@@ -34,16 +34,24 @@ pixels that differ from a second ago; likeness of its colours to those of the fi
 the box; logarithm of the particles' spread in boxes. The confidence rises with the first four, and falls
 with the other two."""
 _SIGNS = np.array([1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
-_PERSON = FEATURES.index("person")
+_PERSON, _AT_START = FEATURES.index("person"), [1, 2, 4]
+_FROM_START = np.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0])
+"""Features that count relative to the start: people from above have low scores throughout."""
+_MOST_PERSON = 0.5
+"""Largest increase of the person detector's score that counts."""
 _RANGES = np.array([(-4.0, 6.0), (-3.0, 1.5), (0.0, 0.5), (0.0, 1.0), (0.0, 1.0), np.log([0.01, 2.0])])
 """Least and largest value of each feature."""
+
+START_LEAST, _START_ODDS = 0.3, 10.0
+"""Least probability that there is a person in the first box, if half of the starts are on one; odds that a
+given or detected box is on one."""
 
 _SECOND, _AVERAGED = 1.0, 0.3
 """Seconds between the compared images; time constant of the averaging of features, seconds."""
 _DIFFERENT, _WIDTH = 15, 640
 """Grey levels by which a pixel differs; width in pixels to which larger images are reduced for that."""
 _ROUNDING = 1e-6
-_PENALTY = 1.0
+_PENALTY, _START_PENALTY = 1.0, 0.3
 
 KINDS = {"heads": OF_HEADS, "people": WITH_BACKGROUND, "color": ("color",)}
 """Trackers that share coefficients."""
@@ -155,8 +163,9 @@ class FollowConfidence(Stored):
 
     Attributes
     ----------
-    weights : (3, 2, 7) for the `KINDS` of trackers, with and without the detector of people: constant, and
-        coefficients of the `FEATURES`
+    start : (3, 4) for the `KINDS` of trackers: probability that a first box is on a person, constant and
+        coefficients of person, change and surroundings
+    weights : (3, 7) that a box is still on the target: constant, and coefficients of the `FEATURES`
     pans : (2, 2) of the pan's posterior and of its likelihood in one frame: exponent, and share of pans that
         may be anywhere
     card : fit and reliability
@@ -164,17 +173,46 @@ class FollowConfidence(Stored):
 
     kind: ClassVar[str] = "follow_confidence"
 
+    start: FloatArray
     weights: FloatArray
     pans: FloatArray
     card: ModelCard = field(default_factory=lambda: ModelCard(FollowConfidence.kind))
 
-    def probability(self, tracker: str, features: FloatArray, *, person: bool = True) -> FloatArray:
-        """Return the probabilities (...,) that boxes with features (..., 6) are on the target.
+    def start_probability(self, tracker: str, features: FloatArray) -> FloatArray:
+        """Return the probabilities (...,) that boxes with features (..., 6) are on a person."""
+        weights = self.start[kind_of(tracker)]
+        return np.asarray(expit(weights[0] + features[..., _AT_START] @ weights[1:]), float)
 
-        ``person``: whether the target is a person, so that the detector counts
+    def probability(
+        self,
+        tracker: str,
+        features: FloatArray,
+        first: FloatArray,
+        best: float | FloatArray,
+        *,
+        person: bool = True,
+    ) -> FloatArray:
+        """Return the probabilities (...,) that boxes are on the target.
+
+        They are the product of the probability that the start was on a person, by the best evidence for one
+        so far, and that the box is still on the target of the start.
+
+        Parameters
+        ----------
+        features, first : (..., 6) of the frames, (6,) of the first frame
+        best : (...,) largest `start_probability` so far
+        person : whether the target is a person; else any start is right, and the detector does not count
         """
-        weights = self.weights[kind_of(tracker), 0 if person else 1]
-        return np.asarray(expit(weights[0] + features @ weights[1:]), float)
+        change = relative(features, first) * (1.0 if person else np.arange(len(FEATURES)) != _PERSON)
+        weights = self.weights[kind_of(tracker)]
+        still = expit(weights[0] + change @ weights[1:])
+        odds = _START_ODDS * np.asarray(best) / np.maximum(1.0 - np.asarray(best), 1e-12)
+        return np.asarray(still * (odds / (1.0 + odds) if person else 1.0), float)
+
+    def run(self, tracker: str, features: FloatArray) -> FloatArray:
+        """Return the confidences (n,) of a run of features (n, 6)."""
+        best = np.maximum.accumulate(self.start_probability(tracker, features))
+        return self.probability(tracker, features, features[0], best)
 
     def judged(self, estimate: BoxEstimate, confidence: float) -> BoxEstimate:
         """Return an estimate with its calibrated confidence; the distributions of its pan are as sure."""
@@ -192,14 +230,15 @@ class FollowConfidence(Stored):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the coefficients."""
-        return {"weights": self.weights, "pans": self.pans}
+        return {"start": self.start, "weights": self.weights, "pans": self.pans}
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
         """Return the model of a file."""
         if card.parameters["kinds"] != list(KINDS) or card.parameters["features"] != list(FEATURES):
             raise ValueError("other features")
-        return cls(arrays["weights"].astype(float), arrays["pans"].astype(float), card)
+        start, weights, pans = (arrays[name].astype(float) for name in ("start", "weights", "pans"))
+        return cls(start, weights, pans, card)
 
 
 @lru_cache(maxsize=1)
@@ -217,21 +256,49 @@ def tempered(
     return np.asarray(right * sharp / sharp.sum(axis=-1, keepdims=True) + (1.0 - right) / pan.shape[-1])
 
 
-def fitted_weights(features: FloatArray, on: FloatArray, counts: FloatArray, *, person: bool) -> FloatArray:
-    """Fit coefficients (7,) to features (n, 6), truth (n,) and weights of samples (n,), with known signs."""
-    rows = np.column_stack([np.ones(len(features)), features])
+def relative(features: FloatArray, first: FloatArray) -> FloatArray:
+    """Return features (..., 6) with person and surroundings relative to those of the first frame (6,)."""
+    found = features - _FROM_START * first
+    found[..., _PERSON] = np.minimum(found[..., _PERSON], _MOST_PERSON)
+    return np.asarray(found, float)
 
-    def loss(values: FloatArray) -> tuple[float, FloatArray]:
-        odds = rows @ values
-        slopes = np.concatenate([[0.0], values[1:]])
-        cost = counts @ (np.logaddexp(0.0, odds) - on * odds) + 0.5 * _PENALTY * slopes @ slopes
-        return float(cost), rows.T @ (counts * (expit(odds) - on)) + _PENALTY * slopes
+
+def fitted_start(features: FloatArray, on: FloatArray, counts: FloatArray) -> FloatArray:
+    """Fit the row (4,) of `FollowConfidence.start` to features (n, 6) of first boxes.
+
+    Parameters
+    ----------
+    on, counts : (n,) whether the box is on a person, and weights of the samples
+    """
+    return _fitted(features[:, _AT_START], on, counts, _SIGNS[_AT_START], _START_PENALTY)
+
+
+def fitted_weights(features: FloatArray, on: FloatArray, counts: FloatArray) -> FloatArray:
+    """Fit the row (7,) of `FollowConfidence.weights` to features (n, 6) from `relative`.
+
+    Parameters
+    ----------
+    on : (n,) whether the box is on the target
+    counts : (n,) weights of the samples
+    """
+    return _fitted(features, on, counts, _SIGNS, _PENALTY)
+
+
+def _fitted(
+    values: FloatArray, on: FloatArray, counts: FloatArray, signs: FloatArray, penalty: float
+) -> FloatArray:
+    """Fit a logistic function whose coefficients have known signs, and a penalty of their squares."""
+    rows = np.column_stack([np.ones(len(values)), values])
+
+    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
+        odds = rows @ weights
+        slopes = np.concatenate([[0.0], weights[1:]])
+        cost = counts @ (np.logaddexp(0.0, odds) - on * odds) + 0.5 * penalty * slopes @ slopes
+        return float(cost), rows.T @ (counts * (expit(odds) - on)) + penalty * slopes
 
     bounds: list[tuple[float | None, float | None]]
-    bounds = [(None, None), *((0.0, None) if sign > 0.0 else (None, 0.0) for sign in _SIGNS)]
-    if not person:
-        bounds[1 + _PERSON] = (0.0, 0.0)
-    return np.asarray(minimize(loss, np.zeros(7), jac=True, bounds=bounds).x, float)
+    bounds = [(None, None), *((0.0, None) if sign > 0.0 else (None, 0.0) for sign in signs)]
+    return np.asarray(minimize(loss, np.zeros(rows.shape[1]), jac=True, bounds=bounds).x, float)
 
 
 def fitted_pan(pan: FloatArray, label: NDArray[np.int64], counts: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.hog import PeopleDetector
-from perception.following.confidence import Evidence, load_confidence
+from perception.following.confidence import START_LEAST, Evidence, load_confidence
 from perception.following.ground import PERSON_IN_HEADS
 from perception.images.pixels import Image, box_text, crop
 from perception.models import load_head_localiser
@@ -23,9 +23,6 @@ State = Literal["waiting", "followed", "lost", "restarted"]
 LOST_BELOW, LOST_AFTER = 0.5, 0.5
 """A target is lost when its confidence stays below this, and recovered when it stays above, for so many
 seconds."""
-START_LEAST = 0.25
-"""Least confidence in the first frame."""
-
 _SEARCH_EVERY = 1.0
 """Seconds between searches for a lost person."""
 _REACH, _SPEED = 0.5, 1.5
@@ -100,6 +97,8 @@ class TargetWatch:
         self._detector: PeopleDetector | None = None
         self._evidence: Evidence | None = None
         self._searched = -np.inf
+        self._first: FloatArray | None = None
+        self._best = 0.0
         self.loss = LossDetector()
 
     def start(self, number: int, image: Image, estimate: BoxEstimate) -> BoxEstimate:
@@ -111,11 +110,11 @@ class TargetWatch:
             If the target is to be a person, and none is in the box.
         """
         self._evidence, self.loss = Evidence(self._tracker, self._later(number)), LossDetector()
+        self._first, self._best = None, 0.0
         judged = self.judge(number, image, estimate)
-        if self._person and estimate.found and judged.confidence < START_LEAST:
+        if self._person and estimate.found and self._best < START_LEAST:
             raise InputError(
-                f"no person in {box_text(estimate.box)} of frame {number} "
-                f"(probability {judged.confidence:.2f})",
+                f"no person in {box_text(estimate.box)} of frame {number} (probability {self._best:.2f})",
                 "the box of a person (--init), a later --start, or --no-check to follow anything",
             )
         return judged
@@ -128,12 +127,20 @@ class TargetWatch:
             confidence = 0.0
             self._evidence.skip(image, t)
         else:
-            features = self._evidence.add(image, t, estimate)
-            confidence = float(self._model.probability(self._tracker, features, person=self._person))
+            confidence = self._confidence(image, t, estimate)
         self.loss.update(t, confidence, found=estimate.found)
         if not self.loss.lost:
             self._last = t, np.asarray(estimate.box, float)
         return self._model.judged(estimate, confidence)
+
+    def _confidence(self, image: Image, t: float, estimate: BoxEstimate) -> float:
+        assert self._evidence is not None
+        features = self._evidence.add(image, t, estimate)
+        self._first = features if self._first is None else self._first
+        self._best = max(self._best, float(self._model.start_probability(self._tracker, features)))
+        return float(
+            self._model.probability(self._tracker, features, self._first, self._best, person=self._person)
+        )
 
     def person_to_restart_on(self, number: int, image: Image) -> Box | None:
         """Return the box of the nearest plausible person while the target is lost; None if there is none.
@@ -166,9 +173,9 @@ class TargetWatch:
         """Judge the estimate of a tracker that was started again in a frame, which has been judged before."""
         assert self._evidence is not None
         self._evidence.restart()
-        features = self._evidence.add(image, self._seconds(number), estimate)
+        self._first, self._best = None, 0.0
         self.loss.restart()
-        return self._model.judged(estimate, float(self._model.probability(self._tracker, features)))
+        return self._model.judged(estimate, self._confidence(image, self._seconds(number), estimate))
 
 
 def head_of(image: Image, person: FloatArray) -> Box:
