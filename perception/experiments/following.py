@@ -42,8 +42,9 @@ from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.synthetic.scene import StillScene
 from perception.trackers.registry import OF_HEADS, TRACKERS, WITH_BACKGROUND, make_tracker
 
-SEQUENCES = 10
-"""Rendered sequences of each kind that the package's confidence is fitted to, and judged on."""
+SEQUENCES, _TOWN, _LOBBY = 8, 10, 3
+"""Rendered sequences of each kind that the package's confidence is fitted to, and judged on; people of Town
+Centre, and of each recording of CAVIAR."""
 _BACKGROUND = ", background"
 _NOBODY = np.full(4, np.nan)
 _VISIBLE = 0.3
@@ -78,7 +79,7 @@ class Target:
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Features (n, 6) of a run's frames, whether the box is on the target (n,), raw confidences (n,), and
-    distributions of pans (n, 2, k), posterior and likelihood, with the true classes (n,), −1 if not known."""
+    likelihoods of pans (n, k) with the true classes (n,), −1 if not known."""
 
     name: str
     tracker: str
@@ -87,6 +88,11 @@ class Samples:
     raw: FloatArray
     pan: FloatArray | None
     label: NDArray[np.int64]
+
+    @property
+    def rendered(self) -> bool:
+        """Return True for a rendered sequence."""
+        return self.name.startswith("rendered")
 
     @property
     def on_background(self) -> bool:
@@ -121,7 +127,7 @@ def _run(target: Target, name: str, truth: FloatArray, first: FloatArray) -> Sam
     rows: list[FloatArray] = []
     on: list[bool] = []
     raw: list[float] = []
-    pans: list[list[FloatArray | None]] = []
+    pans: list[FloatArray] = []
     labels: list[int] = []
     for k, image in enumerate(target.images):
         if k:
@@ -135,8 +141,8 @@ def _run(target: Target, name: str, truth: FloatArray, first: FloatArray) -> Sam
         rows.append(evidence.add(image, k / target.fps, estimate))
         on.append(is_on(estimate.box, truth[k]))
         raw.append(estimate.confidence)
-        if classes is not None:
-            pans.append([estimate.pan, estimate.pan_likelihood])
+        if classes is not None and estimate.pan_likelihood is not None:
+            pans.append(estimate.pan_likelihood)
             known = on[-1] and np.isfinite(target.pan[k])
             labels.append(int(classes.index(target.pan[k : k + 1])[0]) if known else -1)
     return Samples(
@@ -327,10 +333,10 @@ def sources(part: int, data: Path | None, size: int) -> list[Source]:
     rendered = (head_targets, street_targets, ceiling_targets)
     found: list[Source] = [partial(kind, seed) for kind in rendered for seed in seeds]
     if data is not None:
-        found.append(partial(town_targets, data / "towncentre", part, size))
+        found.append(partial(town_targets, data / "towncentre", part, _TOWN))
         caviar = data / "caviar"
         lobby = ("wk1gt", "fra2gt") if part == 0 else ("wk2gt", "mws1gt")
-        found += [partial(caviar_targets, caviar, name, 3) for name in lobby]
+        found += [partial(caviar_targets, caviar, name, _LOBBY) for name in lobby]
         found += [partial(corridor_targets, caviar, 2)] if part == 1 else []
     return found
 
@@ -359,32 +365,44 @@ def fitted(runs: Iterable[Samples], card: ModelCard) -> FollowConfidence:
             np.concatenate([runs[k].on for k in given]),
             np.concatenate([counts[k] for k in given]),
         )
-    known = [(run.pan, run.label, c) for run, c in zip(runs, counts, strict=True) if run.pan is not None]
-    pan, label, count = (np.concatenate(parts) for parts in zip(*known, strict=True))
+    known = [k for k, run in enumerate(runs) if run.pan is not None and (run.label >= 0).any()]
+    # Rendered heads resemble those that the exemplars were taught on.
+    real = [k for k in known if not runs[k].rendered] or known
+    pan, label = (np.concatenate([getattr(runs[k], name) for k in real]) for name in ("pan", "label"))
+    count = np.concatenate([counts[k] for k in real])
     labelled = label >= 0
-    pans = [fitted_pan(pan[labelled, k], label[labelled], count[labelled]) for k in range(2)]
-    return FollowConfidence(start, weights, np.array(pans), card)
+    of_pan = fitted_pan(pan[labelled], label[labelled], count[labelled])
+    return FollowConfidence(start, weights, of_pan, card)
 
 
 def train_confidence(size: int, data: Path | None, progress: Progress) -> FollowConfidence:
     """Fit the confidence, and measure its reliability on the sequences that are not fitted."""
-    runs = [
+    fit, judged = (
         [run for of in run_all(collected, sources(part, data, size), progress) for run in of]
         for part in (0, 1)
-    ]
-    real = " and frames of Town Centre and CAVIAR" if data is not None else ""
-    model = fitted(runs[0], ModelCard(FollowConfidence.kind))
+    )
+    return trained(fit, judged, f"{size} rendered sequences each of heads, streets and rooms", data)
+
+
+def trained(
+    fit: Sequence[Samples], judged: Sequence[Samples], rendered: str, data: Path | None
+) -> FollowConfidence:
+    """Fit the confidence to runs; its card has the figures on others."""
+    model = fitted(fit, ModelCard(FollowConfidence.kind))
+    accepted = [run for run in judged if len(run.on) and _start(model, run) >= START_LEAST]
     figures = {
-        f"ECE, {name}": calibration_error(*_judged(model, [run for run in runs[1] if run.name == name]))
-        for name in _names(runs[1])
+        f"expected_calibration_error, {name}": calibration_error(
+            *_judged(model, [run for run in accepted if run.name == name])
+        )
+        for name in _names(accepted)
     }
+    real = "" if data is None else ", and frames of Town Centre and CAVIAR"
     card = ModelCard(
         FollowConfidence.kind,
-        f"{size} rendered sequences each of heads, streets and rooms{real}",
-        "people who lie, or are followed by an unlike person of the same colours",
-        sum(len(run.on) for run in runs[0]),
-        {"sequences": size},
-        figures,
+        rendered + real,
+        "people who stand still in views from above, and other people of the same colours nearby",
+        sum(len(run.on) for run in fit),
+        figures=figures,
     )
     return replace(model, card=card)
 
@@ -411,7 +429,7 @@ def tables_of(model: FollowConfidence, runs: Sequence[Samples]) -> list[Table]:
     accepted = [run for run in runs if _start(model, run) >= START_LEAST]
     curves: list[Row] = []
     for place in ("rendered", "real"):
-        some = [run for run in accepted if run.name.startswith("rendered") == (place == "rendered")]
+        some = [run for run in accepted if run.rendered == (place == "rendered")]
         curves += _curve(place, *_judged(model, some)) if some else ()
     summary = [_summary(model, name, [run for run in runs if run.name == name]) for name in _names(runs)]
     titles = (
@@ -488,9 +506,9 @@ def _pan_rows(model: FollowConfidence, runs: Sequence[Samples]) -> list[Row]:
         if not mine:
             continue
         label = np.concatenate([run.label[run.label >= 0] for run in mine])
-        raw = np.concatenate([run.pan[run.label >= 0, 1] for run in mine if run.pan is not None])
+        raw = np.concatenate([run.pan[run.label >= 0] for run in mine if run.pan is not None])
         said = np.concatenate([model.run(run.tracker, run.features)[run.label >= 0, None] for run in mine])
-        after = tempered(raw, float(model.pans[1, 0]), float(model.pans[1, 1]), said)
+        after = tempered(raw, model.pan, said)
         row: dict[str, Cell] = {"sequences": name, "frames": len(label)}
         for when, pan in (("before", raw), ("after", after)):
             row[f"held {when} (%)"] = 100.0 * float(held(pan / pan.sum(axis=1, keepdims=True), label).mean())

@@ -42,12 +42,13 @@ _MOST_PERSON = 0.5
 _RANGES = np.array([(-4.0, 6.0), (-3.0, 1.5), (0.0, 0.5), (0.0, 1.0), (0.0, 1.0), np.log([0.01, 2.0])])
 """Least and largest value of each feature."""
 
-START_LEAST, _START_ODDS = 0.3, 10.0
+START_LEAST, _START_ODDS = 0.4, 3.0
 """Least probability that there is a person in the first box, if half of the starts are on one; odds that a
 given or detected box is on one."""
 
-_SECOND, _AVERAGED = 1.0, 0.3
-"""Seconds between the compared images; time constant of the averaging of features, seconds."""
+_SECOND, _AVERAGED, _SCORED = 1.0, 0.3, 0.1
+"""Seconds between the compared images; time constant of the averaging of features, and least time between
+scores of the person detector, seconds."""
 _DIFFERENT, _WIDTH = 15, 640
 """Grey levels by which a pixel differs; width in pixels to which larger images are reduced for that."""
 _ROUNDING = 1e-6
@@ -80,6 +81,7 @@ class Evidence:
         self._past: deque[tuple[float, NDArray[np.uint8]]] = deque()
         self._colours: FloatArray | None = None
         self._mean: FloatArray | None = None
+        self._scored, self._score = -np.inf, 0.0
 
     def add(self, image: Image, t: float, estimate: BoxEstimate) -> FloatArray:
         """Return the features (6,) of an estimate in an image at ``t`` seconds."""
@@ -89,7 +91,7 @@ class Evidence:
         odds = float(logit(np.clip(estimate.confidence, 1e-6, 1.0 - 1e-6)))
         likeness = bhattacharyya(np.array([self._colours, around]), here)
         spread = float(np.log(np.mean(estimate.spread / box[2:]) + 1e-9))
-        values = np.array([odds, self._person(image, box), self._change(image, t, box), *likeness, spread])
+        values = np.array([odds, self._person(image, t, box), self._change(image, t, box), *likeness, spread])
         values = np.clip(values, *_RANGES.T)
         if self._mean is None:
             self._mean, self._time = values, t
@@ -108,12 +110,15 @@ class Evidence:
 
     def restart(self) -> None:
         """Discard the averages, for a box elsewhere."""
-        self._mean = None
+        self._mean, self._scored = None, -np.inf
 
-    def _person(self, image: Image, box: FloatArray) -> float:
+    def _person(self, image: Image, t: float, box: FloatArray) -> float:
         left, top, width, height = box.tolist()
         people = [(left, top, width, share * height) for share in self._shares]
-        return max(person_score(image, person, self._window) for person in people)
+        if t - self._scored >= _SCORED - _ROUNDING:
+            self._scored = t
+            self._score = max(person_score(image, person, self._window) for person in people)
+        return self._score
 
     def _change(self, image: Image, t: float, box: FloatArray) -> float:
         """Return the share of pixels in a box that differ from a second ago."""
@@ -166,8 +171,7 @@ class FollowConfidence(Stored):
     start : (3, 4) for the `KINDS` of trackers: probability that a first box is on a person, constant and
         coefficients of person, change and surroundings
     weights : (3, 7) that a box is still on the target: constant, and coefficients of the `FEATURES`
-    pans : (2, 2) of the pan's posterior and of its likelihood in one frame: exponent, and share of pans that
-        may be anywhere
+    pan : (2,) exponent of the likelihood of the pan in one frame, and share of pans that may be anywhere
     card : fit and reliability
     """
 
@@ -175,7 +179,7 @@ class FollowConfidence(Stored):
 
     start: FloatArray
     weights: FloatArray
-    pans: FloatArray
+    pan: FloatArray
     card: ModelCard = field(default_factory=lambda: ModelCard(FollowConfidence.kind))
 
     def start_probability(self, tracker: str, features: FloatArray) -> FloatArray:
@@ -217,10 +221,8 @@ class FollowConfidence(Stored):
     def judged(self, estimate: BoxEstimate, confidence: float) -> BoxEstimate:
         """Return an estimate with its calibrated confidence; the distributions of its pan are as sure."""
         pan, likelihood = (
-            None if values is None else tempered(values, exponent, anywhere, confidence)
-            for values, (exponent, anywhere) in zip(
-                (estimate.pan, estimate.pan_likelihood), self.pans.tolist(), strict=True
-            )
+            None if values is None else tempered(values, self.pan, confidence)
+            for values in (estimate.pan, estimate.pan_likelihood)
         )
         return replace(estimate, confidence=confidence, pan=pan, pan_likelihood=likelihood)
 
@@ -230,15 +232,15 @@ class FollowConfidence(Stored):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the coefficients."""
-        return {"start": self.start, "weights": self.weights, "pans": self.pans}
+        return {"start": self.start, "weights": self.weights, "pan": self.pan}
 
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
         """Return the model of a file."""
         if card.parameters["kinds"] != list(KINDS) or card.parameters["features"] != list(FEATURES):
             raise ValueError("other features")
-        start, weights, pans = (arrays[name].astype(float) for name in ("start", "weights", "pans"))
-        return cls(start, weights, pans, card)
+        start, weights, pan = (arrays[name].astype(float) for name in ("start", "weights", "pan"))
+        return cls(start, weights, pan, card)
 
 
 @lru_cache(maxsize=1)
@@ -247,10 +249,15 @@ def load_confidence() -> FollowConfidence:
     return FollowConfidence.load(model_path(FollowConfidence.kind))
 
 
-def tempered(
-    pan: FloatArray, exponent: float, anywhere: float, confidence: float | FloatArray = 1.0
-) -> FloatArray:
-    """Return distributions (..., n) of a pan that is right with a probability: pan^exponent, or anywhere."""
+def tempered(pan: FloatArray, parameters: FloatArray, confidence: float | FloatArray = 1.0) -> FloatArray:
+    """Return distributions (..., n) of a pan: pan^exponent, or anywhere.
+
+    Parameters
+    ----------
+    parameters : (2,) see `FollowConfidence.pan`
+    confidence : probability that the box is on the head, a number or (..., 1)
+    """
+    exponent, anywhere = parameters.tolist()
     sharp = np.maximum(pan, 1e-12) ** exponent
     right = confidence * (1.0 - anywhere)
     return np.asarray(right * sharp / sharp.sum(axis=-1, keepdims=True) + (1.0 - right) / pan.shape[-1])
@@ -302,11 +309,13 @@ def _fitted(
 
 
 def fitted_pan(pan: FloatArray, label: NDArray[np.int64], counts: FloatArray) -> FloatArray:
-    """Fit exponent and share of pans that may be anywhere to distributions (n, k) and true classes (n,)."""
+    """Fit `FollowConfidence.pan` to likelihoods (n, k), true classes (n,) and weights of samples (n,)."""
+
+    def parameters(values: FloatArray) -> FloatArray:
+        return np.array([np.exp(values[0]), expit(values[1])])
 
     def loss(values: FloatArray) -> float:
-        right = tempered(pan, float(np.exp(values[0])), float(expit(values[1])))
+        right = tempered(pan, parameters(values))
         return -float(counts @ np.log(right[np.arange(len(label)), label]))
 
-    found = minimize(loss, np.array([-1.0, -2.0]), method="Nelder-Mead").x
-    return np.array([np.exp(found[0]), expit(found[1])])
+    return parameters(minimize(loss, np.array([-1.0, -2.0]), method="Nelder-Mead").x)

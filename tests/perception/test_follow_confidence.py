@@ -1,6 +1,7 @@
 """The confidence of a followed target, its loss, and starts on no person, on rendered people."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,11 +9,14 @@ import numpy as np
 import pytest
 from command import Done, run
 
+from perception.detection.boxes import FrameDetections
 from perception.experiments import following
 from perception.experiments.following import Samples, Target, samples_of, street_targets, tables_of
+from perception.following import watch
 from perception.following.confidence import _RANGES, _SIGNS, KINDS, START_LEAST, load_confidence, tempered
 from perception.following.watch import LOST_AFTER, LossDetector
 from perception.trackers.registry import TRACKERS
+from perception.trackers.tracker import BoxEstimate
 
 GONE = 22
 """Frame in which the people of a third of the streets disappear."""
@@ -148,7 +152,55 @@ def test_states_change_from_the_first_frame_of_what_lasts() -> None:
 def test_pans_are_as_sure_as_the_confidence() -> None:
     pan = np.random.default_rng(0).dirichlet(np.full(16, 0.1), 50)
     for confidence in (0.0, 0.5, 1.0):
-        found = tempered(pan, 0.5, 0.1, confidence)
+        found = tempered(pan, np.array([0.5, 0.1]), confidence)
         np.testing.assert_allclose(found.sum(axis=1), 1.0)
         assert found.min() >= (1.0 - 0.9 * confidence) / 16 - 1e-12
         assert (confidence == 0.0) == np.allclose(found, 1.0 / 16)
+
+
+RED, BLUE = (20, 20, 200), (200, 40, 20)
+
+
+def painted(*people: tuple[tuple[int, int, int, int], tuple[int, int, int]]) -> np.ndarray:
+    """Boxes of one colour each before grey noise."""
+    image = np.random.default_rng(0).integers(90, 110, (300, 400, 3)).astype(np.uint8)
+    for (left, top, width, height), colour in people:
+        image[top : top + height, left : left + width] = colour
+    return image
+
+
+@pytest.mark.parametrize(
+    ("others", "person", "expected"),
+    [
+        ([((150, 100, 40, 100), RED), ((90, 100, 40, 100), RED)], True, 1),
+        ([((90, 100, 40, 100), BLUE), ((150, 100, 40, 100), RED)], True, 1),
+        ([((90, 100, 40, 100), BLUE)], True, None),
+        ([((90, 100, 60, 180), RED)], True, None),
+        ([((340, 100, 40, 100), RED)], True, None),
+        ([((90, 100, 40, 100), RED)], False, None),
+    ],
+)
+def test_a_lost_target_is_taken_up_again_on_the_nearest_plausible_person(
+    others: list, person: bool, expected: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Detector:
+        def detect(self, image: np.ndarray) -> FrameDetections:
+            return FrameDetections(np.array([box for box, _ in others], float), np.ones(len(others)))
+
+    monkeypatch.setattr(watch, "PeopleDetector", Detector)
+    followed = watch.TargetWatch("color", lambda number: number / 10.0, lambda number: None, person=person)
+    box = (60.0, 100.0, 40.0, 100.0)
+    particles = np.tile(box, (4, 1))
+    estimate = BoxEstimate(box, np.ones(2), 0.99, True, particles, np.full(4, 0.25))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(watch, "START_LEAST", 0.0)
+        followed.start(0, painted(((60, 100, 40, 100), RED)), estimate)
+    for number in range(1, 8):
+        followed.loss.update(number / 10.0, 0.0)
+    assert followed.loss.lost
+    found = followed.person_to_restart_on(8, painted(*others))
+    assert found == (None if expected is None else tuple(map(float, others[expected][0])))
+    if found is not None:
+        assert followed.person_to_restart_on(9, painted(*others)) is None  # a second has not passed
+        followed.restart(9, painted(*others), replace(estimate, box=found))
+        assert followed.loss.states[-1] == "restarted" and not followed.loss.lost
