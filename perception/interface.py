@@ -136,6 +136,8 @@ def follow(
     fps: float | None = None,
     tracker: str = "mixed-state",
     init: tuple[float, float, float, float] | None = None,
+    start: float = 0.0,
+    check: bool = True,
     guided: bool = False,
     render: str | Path | None = None,
     particles: int | None = None,
@@ -153,7 +155,9 @@ def follow(
     video, output, homography, point_pairs, calibration, fps, render : as of `observe`
     tracker : "mixed-state", "head-graph", "sigma-pi", "cue-graph" or "color"
     init : the target's left, top, width and height in the first frame, pixels; None: trackers of heads
-        detect one, sigma-pi and cue-graph wait for motion
+        detect one in the first two seconds, sigma-pi and cue-graph wait for motion
+    start : time in the video at which to start, seconds
+    check : refuse a start on no person, and search for a lost person; False to follow anything
     guided : the graph predicts the next box for the tracker
     particles : their number; None: the tracker's own
     seed : of the random numbers
@@ -179,6 +183,8 @@ def follow(
         _camera(homography, point_pairs, calibration, fps),
         tracker=tracker,
         init=init,
+        start=start,
+        check=check,
         guided=guided,
         render=_path(render),
         particles=particles,

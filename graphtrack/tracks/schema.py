@@ -146,6 +146,9 @@ CLASS = "class"
 TILT_COLUMN = "head_tilt_deg"
 """A further such column, of trackers of heads: degrees above the horizontal."""
 
+STATE_COLUMN = "state"
+"""A further such column, of trackers on pixels: waiting, followed, lost or restarted."""
+
 TRUE_ID = "true_id"
 """A further such column: whom a simulated sensor detected, empty for a false detection."""
 
@@ -164,7 +167,7 @@ ANSWER_COLUMNS = ("status", "reason", "error", "line")
 """Columns of `graphtrack track -` next to an estimate, or in its place; not part of a track either."""
 
 _OF_TABLE = frozenset(NAMES)
-_KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, TRUE_ID, *ANSWER_COLUMNS))
+_KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, STATE_COLUMN, TRUE_ID, *ANSWER_COLUMNS))
 
 
 def repeated(names: Iterable[str]) -> str | None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from graphtrack.experiments.harness import Table
 
 _TABLES = ("pose", "localisation", "published", "keypoints")
-_REAL = ("heads", "hidden", "lobby", "street", "people")
+_REAL = ("heads", "hidden", "lobby", "street", "people", "follow")
 """Tables of recordings, made on request."""
 
 
@@ -39,7 +39,8 @@ def evaluate(
         published (Chen et al.'s perception as published, and ours), keypoints (body and head from
         keypoints); all of these by default. On recordings in --data: heads (Ba & Odobez's trackers on Town
         Centre's heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method),
-        people (precision of detections in Town Centre), hidden (classes of people who are partly hidden).
+        people (precision of detections in Town Centre), hidden (classes of people who are partly hidden),
+        follow (reliability of the confidence of perception follow, on rendered sequences too).
     count : Rendered images to evaluate on.
     train : Rendered images to train on: localisation, published.
     plot : Picture of reliability and confusion to write (.png).
@@ -114,6 +115,11 @@ def _recorded(name: str, data: Path, heads: int, seed: int) -> Iterable[Table]:
 
         with progress_bar(PARTS + len(METHODS), "steps") as advance:
             return [methods_table(town, seed, advance)]
+    if name == "follow":
+        from perception.experiments.following import SEQUENCES, reliability_tables, sources
+
+        with progress_bar(len(sources(1, data, SEQUENCES)), "sequences") as advance:
+            return reliability_tables(data, SEQUENCES, advance)
     from perception.evaluation.found_people import reliability_table
     from perception.images.frames import FrameSource
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -33,9 +33,12 @@ from perception.cli.options import (
 
 if TYPE_CHECKING:
     from perception.following.guidance import GraphGuide
+    from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observation.tables import Observations
     from perception.trackers.tracker import Box, BoxEstimate
+
+_ROUNDING = 1e-6  # seconds
 
 
 def follow(
@@ -44,6 +47,8 @@ def follow(
     camera: CameraOptions,
     tracker: str = "mixed-state",
     init: Annotated[str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT")] = None,
+    start: Annotated[float, typer.Option(min=0.0, metavar="SECONDS")] = 0.0,
+    check: Annotated[bool, typer.Option("--check/--no-check")] = True,
     guided: bool = False,
     render: Render = None,
     particles: Annotated[int | None, typer.Option(min=2)] = None,
@@ -61,7 +66,9 @@ def follow(
     output : File to write: .csv.
     tracker : mixed-state, head-graph, sigma-pi, cue-graph or color.
     init : The target's box in the first frame, in pixels; without it, mixed-state and head-graph
-        detect a head, sigma-pi and cue-graph wait for motion.
+        detect a head in the first two seconds, sigma-pi and cue-graph wait for motion.
+    start : Time in the video at which to start.
+    check : Refuse a start on no person, and search for a lost person; --no-check to follow anything.
     guided : The graph predicts the next box for the tracker.
     particles : Number of particles.
     foot_at : Foot point, in box heights below the box's top; by default 1, or 7.3 for the box of a head with
@@ -82,6 +89,8 @@ def follow(
         camera,
         tracker=tracker,
         init=None if init is None else parse_box(init),
+        start=start,
+        check=check,
         guided=guided,
         render=render,
         particles=particles,
@@ -112,6 +121,8 @@ def follow_target(
     *,
     tracker: str,
     init: Box | None,
+    start: float,
+    check: bool,
     guided: bool,
     render: Path | None,
     particles: int | None,
@@ -128,6 +139,7 @@ def follow_target(
     from graphtrack.tracks.track import ReadSummary
     from perception.drawing.people import draw
     from perception.following import run as following
+    from perception.following.watch import TargetWatch
     from perception.ground.inspection import FrameInspection
     from perception.images.encoding import pictures
     from perception.images.frames import FrameSource
@@ -152,6 +164,9 @@ def follow_target(
 
         return GraphGuide(on_ground(first), follower.pan_classes, clock=clock)
 
+    def at(number: int) -> float:
+        return float(clock.seconds(number))
+
     refused: list[str] = []
     inspection = FrameInspection()
     with (
@@ -161,15 +176,18 @@ def follow_target(
         begun = time.perf_counter()
 
         def show(number: int, image: Image, estimate: BoxEstimate) -> None:
-            inspection.add(number, image, float(clock.seconds(number)))
+            inspection.add(number, image, at(number))
             if picture is not None:
                 picture(number, draw(image, number, estimate, follower.pan_classes))
 
+        shown = frames.where(lambda number: at(number) >= start - _ROUNDING)
         found = following.follow(
             follower,
-            frames,
+            shown if start > 0.0 else frames,
             partial(_start, init, tracker),
             guide=guide if guided else None,
+            watch=TargetWatch(tracker, at, partial(_later, frames, at), person=check),
+            search=at if init is None and tracker in OF_HEADS else None,
             refuse=refused.append,
             advance=advance,
             show=show,
@@ -186,9 +204,21 @@ def follow_target(
     for note in notes:
         reports.emit(f"  note: {note}")
     report_camera(ground, reports)
-    reports.emit(f"followed {in_time(len(found), seconds)}")
+    lost = following.lost_frames(found)
+    loss = f", lost in {lost} of them ({lost / clock.rate:.1f} s)" if lost else ""
+    reports.emit(f"followed {in_time(len(found), seconds)}{loss}")
     report_written((output, render), reports)
     return Observations(table, ReadSummary("video", len(found), {}, (*refused, *notes)))
+
+
+def _later(frames: FrameSource, at: Callable[[int], float], number: int) -> Image | None:
+    """Return the image a second after a frame, or the last one; None if there is none."""
+    last = None
+    for frame in frames.where(lambda other: other > number):
+        last = last if frame.image is None else frame.image
+        if at(frame.number) >= at(number) + 1.0 - _ROUNDING:
+            break
+    return last
 
 
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:

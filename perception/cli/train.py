@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from inspect import signature
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, printable, progress_bar
 from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from perception.storage import Stored
 
 
 def simulate(
@@ -76,7 +79,8 @@ Name = Annotated[
     str,
     typer.Argument(
         help="templates, exemplars, deep_belief, body_pose, head_localiser, head_exemplars (of the "
-        "mixed-state tracker), or keypoints (body and head from a pose network's points)."
+        "mixed-state tracker), keypoints (body and head from a pose network's points), or "
+        "follow_confidence (of perception follow)."
     ),
 ]
 
@@ -86,7 +90,8 @@ def train(
     output: options.OutputPath,
     images: Annotated[Path | None, typer.Option(exists=True, file_okay=False)] = None,
     labels: options.InputFile | None = None,
-    count: Annotated[int | None, typer.Option(min=100)] = None,
+    count: Annotated[int | None, typer.Option(min=1)] = None,
+    data: Annotated[Path | None, typer.Option(exists=True, file_okay=False)] = None,
     as_published: bool = False,
     seed: options.Seed = 0,
 ) -> None:
@@ -98,7 +103,9 @@ def train(
     images : Folder of your images; without it, images are rendered.
     labels : CSV with a column image and pan_deg, tilt_deg (head pose), body_deg (body_pose), or left, top,
         width, height (head_localiser).
-    count : Rendered images, or skeletons, to train on; by default as for the package's model.
+    count : Rendered images (100 or more), skeletons, or sequences of each kind (follow_confidence) to
+        train on; by default as for the package's model.
+    data : Folder with caviar and towncentre in it, for follow_confidence; without it rendered sequences.
     as_published : body_pose, templates or head_localiser as published by Chen, Heili & Odobez (2011);
         exemplars or head_exemplars as by Ba & Odobez (2003).
     """
@@ -109,6 +116,13 @@ def train(
         {"--output": output},
         {"--labels": labels, "an image of --images": None if images is None else FrameSource.files(images)},
     )
+    if name == "follow_confidence":
+        given = {"--images": images, "--labels": labels, "--as-published": as_published}
+        options.refuse(given, f"with {name}", "--data, or rendered sequences")
+        return _written(_confidence(count, data), output)
+    options.refuse({"--data": data}, f"with {name}", "it for follow_confidence")
+    if count is not None and count < 100:
+        raise InputError(f"--count {count}", "at least 100 images")
     if (images is None) != (labels is None):
         raise InputError("one of --images and --labels", "both or neither")
     if images is not None and labels is not None:
@@ -119,6 +133,20 @@ def train(
             model = train_on_rendered(
                 name, images=count, seed=seed, as_published=as_published, advance=advance
             )
+    _written(model, output)
+
+
+def _confidence(count: int | None, data: Path | None) -> Stored:
+    """Fit the confidence of `perception follow`."""
+    from perception.experiments.following import SEQUENCES, sources, train_confidence
+
+    size = count or SEQUENCES
+    total = sum(len(sources(part, data, size)) for part in (0, 1))
+    with progress_bar(total, "sequences") as advance:
+        return train_confidence(size, data, advance)
+
+
+def _written(model: Stored, output: Path) -> None:
     model.save(output)
     emit(model.card.text())
     emit(f"wrote {output}")

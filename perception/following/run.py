@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.tracks.schema import BOX_COLUMNS, TILT_COLUMN
+from graphtrack.tracks.schema import BOX_COLUMNS, STATE_COLUMN, TILT_COLUMN
 from graphtrack.tracks.track import HEAD_CLASSES, Track, TrackSet, to_columns
 from perception.detection.hog import PeopleDetector
 from perception.following.ground import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
+from perception.following.watch import State, TargetWatch, head_of
 from perception.images.frames import Clock, Frame, FrameSource, of_one_size, read_image, seconds
-from perception.images.pixels import Image, crop
-from perception.models import load_head_localiser
+from perception.images.pixels import Image
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
@@ -26,16 +27,24 @@ if TYPE_CHECKING:
     from perception.following.guidance import GraphGuide
 
 
+_NAMED = 5
+"""Largest number of losses and restarts that a note names."""
 _EVEN = 2.0  # grey levels: least mean deviation of the pixels of an image with content
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Estimate of one frame, with its number, and whether the guiding graph accepts it."""
+    """Estimate of one frame: number, whether the guiding graph accepts it, and the target's state."""
 
     frame: int
     estimate: BoxEstimate
     believed: bool = True
+    state: State = "followed"
+
+    @property
+    def observed(self) -> bool:
+        """Return True if the estimate is an observation of the target."""
+        return self.believed and self.state not in ("waiting", "lost")
 
 
 def find_head(image: Image) -> Box:
@@ -49,10 +58,10 @@ def find_head(image: Image) -> Box:
     people = PeopleDetector().detect(image).boxes
     if not len(people):
         raise InputError(
-            "no target in the first frame", "a person from head to foot, or the box of a head (--init)"
+            "no target in the first frame",
+            "a person from head to foot, the box of a head (--init), or a later --start",
         )
-    left, top, width, height = load_head_localiser().locate(crop(image, people[0])).boxes[0].tolist()
-    return round(people[0, 0]) + left, round(people[0, 1]) + top, width, height
+    return head_of(image, people[0])
 
 
 def background_images(path: str | Path) -> list[Image]:
@@ -121,12 +130,18 @@ def check_start(image: Image) -> None:
         raise InputError("no target in the first frame, which has a uniform colour", "a frame with a target")
 
 
+SEARCH, _SEARCH_EVERY = 2.0, 0.4
+"""Seconds in which a target to start with is searched for; seconds between the searched frames."""
+
+
 def follow(
     tracker: Tracker,
     frames: Iterable[Frame],
     start: Callable[[Image], Box | None],
     *,
     guide: Callable[[Box], GraphGuide] | None = None,
+    watch: TargetWatch | None = None,
+    search: Callable[[int], float] | None = None,
     refuse: Callable[[str], None] = lambda reason: None,
     show: Callable[[int, Image, BoxEstimate], None] | None = None,
     advance: Callable[[int], None] = lambda count: None,
@@ -137,6 +152,9 @@ def follow(
     ----------
     start : initial box in the first image; None: the tracker searches for a target
     guide : created with the first box, it predicts the target for the tracker from the graph
+    watch : calibrates the confidences, finds losses, and starts again on a detected person
+    search : time of a frame by its number, if ``start`` is tried in the frames of the first `SEARCH` seconds
+        until it succeeds; the frames before that are left out
     show : receives number, image and estimate of every frame
 
     Raises
@@ -146,30 +164,60 @@ def follow(
     """
     found: list[Followed] = []
     graph: GraphGuide | None = None
+    rejected: set[int] = set()
+    first = due = reason = None
     for frame in of_one_size(frames):
         advance(1)
         if frame.image is None:
             refuse(frame.reason)
             continue
+        number, image = frame.number, frame.image
         if not found:
-            check_start(frame.image)
-            estimate = tracker.start(frame.image, start(frame.image))
+            t = 0.0 if search is None else search(number)
+            first = t if first is None else first
+            if t > first + SEARCH:
+                break
+            if due is not None and t < due:
+                continue
+            try:
+                check_start(image)
+                estimate = tracker.start(image, start(image))
+                judged = estimate if watch is None else watch.start(number, image, estimate)
+            except InputError as error:
+                if search is None:
+                    raise
+                reason, due = error, t + _SEARCH_EVERY
+                continue
         else:
-            proposal = None if graph is None else graph.predict(frame.number)
-            estimate = tracker.step(frame.image, proposal)
+            estimate = tracker.step(image, None if graph is None else graph.predict(number))
+            judged = estimate if watch is None else watch.judge(number, image, estimate)
+        if watch is not None and (box := watch.person_to_restart_on(number, image)) is not None:
+            estimate, graph = tracker.start(image, box), None
+            judged = watch.restart(number, image, estimate)
         if guide is not None and graph is None and estimate.found:
             graph = guide(estimate.box)
         if graph is not None:
-            graph.observe(frame.number, estimate)
-        found.append(Followed(frame.number, estimate))
+            graph.observe(number, estimate)
+            rejected |= graph.rejected
+        found.append(Followed(number, judged))
         if show is not None:
-            show(frame.number, frame.image, estimate)
+            lost = watch is not None and watch.loss.lost
+            show(number, image, replace(judged, found=False) if lost else judged)
+    if not found and reason is not None:
+        expected = "the box of the target (--init), or a later --start"
+        raise InputError(f"no person in the first {SEARCH:g} seconds: {reason.found}", expected)
     if not found:
         raise InputError("no frame that can be decoded", "a video or images with a target")
     if not any(item.estimate.found for item in found):
         raise InputError(f"no target in any of {len(found)} frames", "frames in which something moves")
-    if graph is not None:
-        found = [replace(item, believed=item.frame not in graph.rejected) for item in found]
+    states: Sequence[State] = ["followed"] * len(found) if watch is None else watch.loss.states
+    found = [
+        replace(item, believed=item.frame not in rejected, state=state)
+        for item, state in zip(found, states, strict=True)
+    ]
+    if not any(item.state == "followed" for item in found):
+        expected = "a person who is larger, the box of one (--init), or --no-check to follow anything"
+        raise InputError(f"no person in any of {len(found)} frames", expected)
     return found
 
 
@@ -181,8 +229,8 @@ def to_track(
 ) -> Track:
     """Convert estimates to observations: positions, their spread, and head likelihoods in the world.
 
-    Frames in which the target was not found, rejected by the guiding graph, or at or beyond the horizon, have
-    no observation.
+    Frames in which the target was not found, lost, rejected by the guiding graph, or at or beyond the
+    horizon, have no observation.
 
     Parameters
     ----------
@@ -194,7 +242,7 @@ def to_track(
     pixel, position = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
     std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
     for k, item in enumerate(found):
-        sighting = boxes.sighting(item.estimate, pan_classes) if item.believed else None
+        sighting = boxes.sighting(item.estimate, pan_classes) if item.observed else None
         if sighting is not None:
             pixel[k], position[k], std[k] = sighting.pixel, sighting.position, sighting.position_std
             head[k] = np.nan if sighting.head_likelihood is None else sighting.head_likelihood
@@ -225,21 +273,45 @@ def box_table(found: Sequence[Followed], track: Track) -> dict[str, NDArray[Any]
     tilts = [item.estimate.tilt if item.estimate.found else None for item in found]
     if any(tilt is not None for tilt in tilts):
         table[TILT_COLUMN] = np.rad2deg(np.array(tilts, float))
+    table[STATE_COLUMN] = np.array([item.state for item in found], object)
     return table
+
+
+def lost_frames(found: Sequence[Followed]) -> int:
+    """Return the number of frames in which the target is lost."""
+    return sum(item.state == "lost" for item in found)
 
 
 def notes(found: Sequence[Followed], track: Track) -> list[str]:
     """Return notes on the table: frames without the target, and positions beyond the horizon."""
     lines = []
-    lost = [item.frame for item in found if not item.estimate.found]
-    if lost:
+    missed = [item.frame for item in found if not item.estimate.found]
+    if missed:
         lines.append(
-            f"the target was not found in {len(lost)} of {len(found)} frames, first in frame {lost[0]}"
+            f"the target was not found in {len(missed)} of {len(found)} frames, first in frame {missed[0]}"
         )
-    doubted = sum(item.estimate.found and not item.believed for item in found)
+    changes = [
+        (state, [item.frame for item in items])
+        for state, items in groupby(found, lambda item: item.state)
+        if state in ("lost", "restarted")
+    ]
+    losses = [frames for state, frames in changes if state == "lost"]
+    if losses:
+        last = found[-1].frame
+        runs = [f"{one[0]} to {'the end' if one[-1] == last else one[-1]}" for one in losses]
+        more = f" and {len(runs) - _NAMED} more times" if len(runs) > _NAMED else ""
+        lines.append(f"the target was lost in frames {', '.join(runs[:_NAMED])}{more}")
+    restarts = [str(frames[0]) for state, frames in changes if state == "restarted"]
+    if restarts:
+        lines.append(
+            f"the tracker was started again on a detected person, who may be another one, in frame "
+            f"{', '.join(restarts[:_NAMED])}{' …' if len(restarts) > _NAMED else ''}"
+        )
+    kept = [item.estimate.found and item.state not in ("waiting", "lost") for item in found]
+    doubted = sum(one and not item.believed for one, item in zip(kept, found, strict=True))
     if doubted:
         lines.append(f"the graph rejects the tracker in {doubted} more frames")
-    beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost) - doubted
+    beyond = sum(kept) - doubted - int(np.isfinite(track.position[:, 0]).sum())
     if beyond:
         lines.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")
     return lines

@@ -20,7 +20,7 @@ CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "body_pose": BodyPose,
 }
 HEAD_POSE = ("deep_belief", "templates", "exemplars")
-NAMES = (*CLASSIFIERS, HeadLocaliser.kind, "head_exemplars", KeypointPose.kind)
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind, "head_exemplars", KeypointPose.kind, "follow_confidence")
 
 
 def model_path(name: str) -> Path:
