@@ -409,8 +409,8 @@ def trained(
 
 def _judged(model: FollowConfidence, runs: Sequence[Samples]) -> tuple[FloatArray, FloatArray]:
     """Return confidences and truth (n,) of runs."""
-    said = [model.run(run.tracker, run.features) for run in runs]
-    return np.concatenate(said), np.concatenate([run.on for run in runs])
+    confidence = [model.run(run.tracker, run.features) for run in runs]
+    return np.concatenate(confidence), np.concatenate([run.on for run in runs])
 
 
 def reliability_tables(data: Path, size: int, progress: Progress) -> list[Table]:
@@ -465,12 +465,12 @@ def _summary(model: FollowConfidence, name: str, runs: Sequence[Samples]) -> Row
     after, on = _judged(model, accepted)
     raw = np.concatenate([run.raw for run in accepted])
     row |= {"frames": len(on), "on target (%)": 100.0 * float(on.mean())}
-    for when, said in (("before", raw), ("after", after)):
-        sure = said >= _SURE
+    for when, confidence in (("before", raw), ("after", after)):
+        sure = confidence >= _SURE
         row |= {
             f"at least .9 {when} (%)": 100.0 * float(sure.mean()),
             f"of them on target {when} (%)": 100.0 * float(on[sure].mean()) if sure.any() else None,
-            f"ECE {when}": calibration_error(said, on),
+            f"ECE {when}": calibration_error(confidence, on),
         }
     return row
 
@@ -486,15 +486,15 @@ _COLUMNS = (
 )
 
 
-def _curve(place: str, said: FloatArray, on: FloatArray) -> Iterator[Row]:
-    bins = np.minimum((10.0 * said).astype(int), 9)
+def _curve(place: str, confidence: FloatArray, on: FloatArray) -> Iterator[Row]:
+    bins = np.minimum((10.0 * confidence).astype(int), 9)
     for k in np.unique(bins).tolist():
         some = bins == k
         yield {
             "frames of": place,
             "confidence": f"{k / 10:g}-{(k + 1) / 10:g}",
             "frames": int(some.sum()),
-            "mean (%)": 100.0 * float(said[some].mean()),
+            "mean (%)": 100.0 * float(confidence[some].mean()),
             "on target (%)": 100.0 * float(on[some].mean()),
         }
 
@@ -507,8 +507,10 @@ def _pan_rows(model: FollowConfidence, runs: Sequence[Samples]) -> list[Row]:
             continue
         label = np.concatenate([run.label[run.label >= 0] for run in mine])
         raw = np.concatenate([run.pan[run.label >= 0] for run in mine if run.pan is not None])
-        said = np.concatenate([model.run(run.tracker, run.features)[run.label >= 0, None] for run in mine])
-        after = tempered(raw, model.pan, said)
+        confidence = np.concatenate(
+            [model.run(run.tracker, run.features)[run.label >= 0, None] for run in mine]
+        )
+        after = tempered(raw, model.pan, confidence)
         row: dict[str, Cell] = {"sequences": name, "frames": len(label)}
         for when, pan in (("before", raw), ("after", after)):
             row[f"held {when} (%)"] = 100.0 * float(held(pan / pan.sum(axis=1, keepdims=True), label).mean())

@@ -108,7 +108,7 @@ class Evidence:
         here = _colours(image, box)[0]
         return 1.0 if self._colours is None else float(bhattacharyya(here[None], self._colours)[0])
 
-    def restart(self) -> None:
+    def reinitialise(self) -> None:
         """Discard the averages, for a box elsewhere."""
         self._mean, self._scored = None, -np.inf
 

@@ -191,9 +191,9 @@ def follow(
         else:
             estimate = tracker.step(image, None if graph is None else graph.predict(number))
             judged = estimate if watch is None else watch.judge(number, image, estimate)
-        if watch is not None and (box := watch.person_to_restart_on(number, image)) is not None:
+        if watch is not None and (box := watch.plausible_person(number, image)) is not None:
             estimate, graph = tracker.start(image, box), None
-            judged = watch.restart(number, image, estimate)
+            judged = watch.reinitialise(number, image, estimate)
         if guide is not None and graph is None and estimate.found:
             graph = guide(estimate.box)
         if graph is not None:

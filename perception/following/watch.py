@@ -68,7 +68,7 @@ class LossDetector:
             self.states[self._first :] = ["lost" if doubted else "followed"] * count
             self._since = None
 
-    def restart(self) -> None:
+    def reinitialise(self) -> None:
         """Mark the newest frame: the tracker was started again in it."""
         self.states[-1], self._since = "restarted", None
 
@@ -142,7 +142,7 @@ class TargetWatch:
             self._model.probability(self._tracker, features, self._first, self._best, person=self._person)
         )
 
-    def person_to_restart_on(self, number: int, image: Image) -> Box | None:
+    def plausible_person(self, number: int, image: Image) -> Box | None:
         """Return the box of the nearest plausible person while the target is lost; None if there is none.
 
         The tracker takes a head's or a person's box. `sigma-pi` and `cue-graph` search by themselves.
@@ -169,12 +169,12 @@ class TargetWatch:
                 best = float(away), box
         return None if best is None else best[1]
 
-    def restart(self, number: int, image: Image, estimate: BoxEstimate) -> BoxEstimate:
+    def reinitialise(self, number: int, image: Image, estimate: BoxEstimate) -> BoxEstimate:
         """Judge the estimate of a tracker that was started again in a frame, which has been judged before."""
         assert self._evidence is not None
-        self._evidence.restart()
+        self._evidence.reinitialise()
         self._first, self._best = None, 0.0
-        self.loss.restart()
+        self.loss.reinitialise()
         return self._model.judged(estimate, self._confidence(image, self._seconds(number), estimate))
 
 

@@ -145,7 +145,7 @@ def test_states_change_from_the_first_frame_of_what_lasts() -> None:
     assert set(states[19:32]) == {"lost"} and set(states[32:]) == {"followed"} and not loss.lost
     for k in range(10):
         loss.update(10.0 + k, 0.1)
-    loss.restart()
+    loss.reinitialise()
     assert loss.states[-2:] == ["lost", "restarted"] and not loss.lost
 
 
@@ -198,9 +198,9 @@ def test_a_lost_target_is_taken_up_again_on_the_nearest_plausible_person(
     for number in range(1, 8):
         followed.loss.update(number / 10.0, 0.0)
     assert followed.loss.lost
-    found = followed.person_to_restart_on(8, painted(*others))
+    found = followed.plausible_person(8, painted(*others))
     assert found == (None if expected is None else tuple(map(float, others[expected][0])))
     if found is not None:
-        assert followed.person_to_restart_on(9, painted(*others)) is None  # a second has not passed
-        followed.restart(9, painted(*others), replace(estimate, box=found))
+        assert followed.plausible_person(9, painted(*others)) is None  # a second has not passed
+        followed.reinitialise(9, painted(*others), replace(estimate, box=found))
         assert followed.loss.states[-1] == "restarted" and not followed.loss.lost
