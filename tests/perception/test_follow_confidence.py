@@ -69,6 +69,7 @@ def test_the_confidence_is_monotone_in_every_feature() -> None:
     assert set(TRACKERS) == {name for names in KINDS.values() for name in names}
 
 
+@pytest.mark.slow
 def test_the_confidence_is_reliable_on_fresh_people(runs: list[Samples]) -> None:
     model = load_confidence()
     people = [run for run in runs if not run.on_background]
@@ -83,6 +84,7 @@ def test_the_confidence_is_reliable_on_fresh_people(runs: list[Samples]) -> None
         assert on[some].mean() > said[some].mean() - 0.15
 
 
+@pytest.mark.slow
 def test_starts_on_people_and_on_the_background_differ(runs: list[Samples]) -> None:
     model = load_confidence()
     said = np.array([model.start_probability(run.tracker, run.features[0]) for run in runs])
@@ -92,6 +94,7 @@ def test_starts_on_people_and_on_the_background_differ(runs: list[Samples]) -> N
     assert np.mean(said[background] < START_LEAST) >= 0.5
 
 
+@pytest.mark.slow
 def test_tables_have_the_frames_of_all_runs(runs: list[Samples]) -> None:
     curve, summary, *_ = (table.records() for table in tables_of(load_confidence(), runs))
     assert sum(row["frames"] for row in curve) == sum(row["frames"] or 0 for row in summary)
