@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, product
 from operator import itemgetter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,7 +38,13 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracking import track_online
 from graphtrack.tracks.track import Track, TrackSet
 
-PRESETS = ("separate", "joint")
+MODELS: Mapping[str, tuple[str, Literal["default", "learn"]]] = {
+    "separate": ("separate", "default"),
+    "joint": ("joint", "default"),
+    "learned": ("joint", "learn"),
+}
+"""Preset and constants; `learned` is the default."""
+
 POSITION_STDS = (0.05, 0.1, 0.3)
 EVERY = {30.0: 1, 10.0: 3, 2.5: 12}
 """Frames a second → one of how many frames of the recording."""
@@ -47,13 +53,15 @@ CLIPS, FEW = 62, 6
 LEAST_FRAMES = 4
 
 ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
-    "offline": lambda tracks, preset: smooth(tracks, preset, constants="default").tracks,
-    "online": lambda tracks, preset: [track_online(track, preset, constants="default") for track in tracks],
+    "offline": lambda tracks, model: smooth(tracks, MODELS[model][0], constants=MODELS[model][1]).tracks,
+    "online": lambda tracks, model: [
+        track_online(track, MODELS[model][0], constants=MODELS[model][1]) for track in tracks
+    ],
 }
 
 
 def judged(
-    tracks: TrackSet, velocities: Sequence[FloatArray], preset: str, estimator: str
+    tracks: TrackSet, velocities: Sequence[FloatArray], model: str, estimator: str
 ) -> list[dict[str, TrackCalibration]]:
     """The calibration of each track; of `joint` without those whose couplings it has wrong by design.
 
@@ -61,8 +69,8 @@ def judged(
     ----------
     velocities : true velocities (n, 2) of each track
     """
-    askance = {track.track_id for track in tracks.select(*ASKANCE)} if preset == "joint" else set()
-    estimates = ESTIMATORS[estimator](tracks, preset)
+    askance = {track.track_id for track in tracks.select(*ASKANCE)} if model == "joint" else set()
+    estimates = ESTIMATORS[estimator](tracks, model)
     return [
         track_calibration(estimate, truth, velocity=velocity)
         for estimate, truth, velocity in zip(estimates, tracks, velocities, strict=True)
@@ -78,7 +86,7 @@ def _parts(settings: Settings) -> Parts:
     # The clips of even place are those that parameters were fitted to.
     held = [replace(track, track_id=i) for i, track in enumerate(recording.tracks[1::2])]
     clips = evenly(recording.with_tracks(held), settings.few(CLIPS, FEW))
-    settings.expect(len(EVERY) * len(POSITION_STDS) * len(PRESETS) * len(ESTIMATORS))
+    settings.expect(len(EVERY) * len(POSITION_STDS) * len(MODELS) * len(ESTIMATORS))
     rows: list[dict[str, Any]] = []
     # The same clips at all rates with all noises, each time with a noise of its own.
     rng = settings.rng(0)
@@ -87,9 +95,9 @@ def _parts(settings: Settings) -> Parts:
         kept = [track for track in noisy if len(track) > (LEAST_FRAMES - 1) * every]
         observed = clips.with_tracks(thinned(track, every) for track in kept)
         velocities = [true_velocity(track)[::every] for track in kept]
-        for preset, estimator in product(PRESETS, ESTIMATORS):
-            heading = {"": estimator, "model": preset, "σ (m)": std, "Hz": rate}
-            found = judged(observed, velocities, preset, estimator)
+        for model, estimator in product(MODELS, ESTIMATORS):
+            heading = {"": estimator, "model": model, "σ (m)": std, "Hz": rate}
+            found = judged(observed, velocities, model, estimator)
             rows += [heading | row for row in calibration_rows(found)]
             settings.progress(1)
     yield Table.of("NEES a degree of freedom, and how often intervals hold the truth", _grid(rows))

@@ -114,8 +114,8 @@ class TargetWatch:
         judged = self.judge(number, image, estimate)
         if self._person and estimate.found and self._best < START_LEAST:
             raise InputError(
-                f"no person in {box_text(np.round(estimate.box))} of frame {number} (probability "
-                f"{self._best:.2f})",
+                f"no person in {box_text(np.round(estimate.box))} of frame {number} "
+                f"(probability {self._best:.2f})",
                 "the box of a person (--init), a later --start, or --no-check to follow anything",
             )
         return judged
