@@ -23,8 +23,8 @@ from perception.following.confidence import (
     FEATURES,
     KINDS,
     START_LEAST,
-    Evidence,
     FollowConfidence,
+    FollowEvidence,
     fitted_pan,
     fitted_start,
     fitted_weights,
@@ -54,7 +54,7 @@ _HEAD_OF_BODY = np.array([0.29, 0.0, 0.42, 0.16])
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TargetSequence:
     """A target in n frames.
 
     Attributes
@@ -106,7 +106,7 @@ def is_on(box: Sequence[float], true: FloatArray) -> bool:
     return bool(((middle >= true[:2]) & (middle <= true[:2] + true[2:])).all())
 
 
-def samples_of(target: Target) -> list[Samples]:
+def samples_of(target: TargetSequence) -> list[Samples]:
     """Follow a target with every tracker that can start on it."""
     found = []
     for tracker in TRACKERS:
@@ -120,10 +120,10 @@ def samples_of(target: Target) -> list[Samples]:
     return found
 
 
-def _run(target: Target, name: str, truth: FloatArray, first: FloatArray) -> Samples:
+def _run(target: TargetSequence, name: str, truth: FloatArray, first: FloatArray) -> Samples:
     tracker = make_tracker(name, rate=target.fps)
     later = target.images[min(round(target.fps), len(target.images) - 1)]
-    evidence, classes = Evidence(name, later), tracker.pan_classes
+    evidence, classes = FollowEvidence(name, later), tracker.pan_classes
     rows: list[FloatArray] = []
     on: list[bool] = []
     raw: list[float] = []
@@ -164,7 +164,9 @@ def _absent(images: Sequence[Image], count: int, rng: np.random.Generator) -> li
     ]
 
 
-def _on_background(target: Target, people: FloatArray, size: FloatArray, rng: np.random.Generator) -> Target:
+def _on_background(
+    target: TargetSequence, people: FloatArray, size: FloatArray, rng: np.random.Generator
+) -> TargetSequence:
     """Return a run that starts on the background, away from the boxes (n, 4) of all people."""
     height, width = target.images[0].shape[:2]
     people = people[np.isfinite(people).all(axis=1)]
@@ -176,12 +178,12 @@ def _on_background(target: Target, people: FloatArray, size: FloatArray, rng: np
     head = np.concatenate([corner + _HEAD_OF_BODY[:2] * size, _HEAD_OF_BODY[2:] * size])
     nobody = np.full((len(target.images), 4), np.nan)
     name = target.name + _BACKGROUND
-    return Target(
+    return TargetSequence(
         name, target.images, target.fps, nobody, nobody, np.full(len(nobody), np.nan), np.array([box, head])
     )
 
 
-def head_targets(seed: int) -> list[Target]:
+def head_targets(seed: int) -> list[TargetSequence]:
     """Render a head that stays, walks behind a wall, or disappears."""
     rng, kind = np.random.default_rng([seed, 7]), seed % 4
     occlusion = (30, 12) if kind == 1 else None
@@ -198,12 +200,12 @@ def head_targets(seed: int) -> list[Target]:
         images = [*images[:first], *_absent(images, 25, rng)]
         boxes = np.vstack([boxes[:first], np.tile(_NOBODY, (25, 1))])
         pan = np.concatenate([pan[:first], np.full(25, np.nan)])
-    target = Target("rendered head", images, clip.fps, None, boxes, pan)
+    target = TargetSequence("rendered head", images, clip.fps, None, boxes, pan)
     background = _on_background(target, clip.boxes[:10], np.array([60.0, 150.0]), rng)
     return [target, *([background] if seed % 3 == 0 else [])]
 
 
-def street_targets(seed: int, fps: float = 10.0, frames: int = 45) -> list[Target]:
+def street_targets(seed: int, fps: float = 10.0, frames: int = 45) -> list[TargetSequence]:
     """Render people in a street; in a third of the clips they disappear."""
     rng = np.random.default_rng([seed, 8])
     walks = draw_walks(rng, people=int(rng.integers(1, 4)), steps=frames, fps=fps)
@@ -227,14 +229,14 @@ def street_targets(seed: int, fps: float = 10.0, frames: int = 45) -> list[Targe
         track = walks.truth.tracks[person]
         assert track.true_head is not None and track.true_position is not None
         pan = camera.image_angle(track.true_head, track.true_position)
-        found.append(Target("rendered street", images, fps, boxes[0, person], boxes[1, person], pan))
+        found.append(TargetSequence("rendered street", images, fps, boxes[0, person], boxes[1, person], pan))
     if seed % 3 == 0:
-        target = Target("rendered street", images[:25], fps, None, None, np.empty(0))
+        target = TargetSequence("rendered street", images[:25], fps, None, None, np.empty(0))
         found.append(_on_background(target, everybody, np.array([45.0, 115.0]), rng))
     return found
 
 
-def ceiling_targets(seed: int) -> list[Target]:
+def ceiling_targets(seed: int) -> list[TargetSequence]:
     """Render a room from above; the person enters, or is given in the frame of entrance."""
     name = list(ALL_KINDS)[seed % len(ALL_KINDS)]
     rng, images, boxes = np.random.default_rng([seed, 9]), [], []
@@ -247,12 +249,12 @@ def ceiling_targets(seed: int) -> list[Target]:
     first = int(np.flatnonzero(np.isfinite(body[:, 0]))[0]) + 10
     part = slice(first, first + 60)
     return [
-        Target("rendered room", images, CEILING_RATE, body, None, unknown),
-        Target("rendered room", images[part], CEILING_RATE, body[part], None, unknown[part]),
+        TargetSequence("rendered room", images, CEILING_RATE, body, None, unknown),
+        TargetSequence("rendered room", images[part], CEILING_RATE, body[part], None, unknown[part]),
     ]
 
 
-def town_targets(folder: Path, part: int, people: int) -> list[Target]:
+def town_targets(folder: Path, part: int, people: int) -> list[TargetSequence]:
     """Return walkers of Town Centre's frames, and starts on its background: every second one of each part."""
     frames, camera, runs = labelled_runs(folder, 12)
     pictures = {frame.number: frame.image for frame in frames if frame.image is not None}
@@ -271,25 +273,25 @@ def town_targets(folder: Path, part: int, people: int) -> list[Target]:
         body, head = np.vstack([box, gone]), np.vstack([head_boxes(box), gone])
         inside = body[0, 1] + body[0, 3] / 2.0 < images[0].shape[0]
         pan = np.concatenate([pan, np.full(len(after), np.nan)])
-        found.append(Target("Town Centre", images, fps, body if inside else None, head, pan))
+        found.append(TargetSequence("Town Centre", images, fps, body if inside else None, head, pan))
     for first in rng.integers(1, 120, people // 4).tolist():
         images = [pictures[k] for k in range(first, first + 15)]
         near = labels[(labels[:, 0] >= first) & (labels[:, 0] < first + 5), 1:]
-        target = Target("Town Centre", images, fps, None, None, np.empty(0))
+        target = TargetSequence("Town Centre", images, fps, None, None, np.empty(0))
         found.append(_on_background(target, near, np.array([80.0, 210.0]), rng))
     return found
 
 
 def labelled_targets(
     name: str, person: LabelledPerson, images: Sequence[Image], rng: np.random.Generator
-) -> list[Target]:
+) -> list[TargetSequence]:
     """Return a labelled person, and a start on the background in the same frames."""
     body = np.array([person.labels.get(k, _NOBODY) for k in person.numbers[: len(images)]])
-    target = Target(name, images, 25.0, body, None, np.full(len(body), np.nan))
+    target = TargetSequence(name, images, 25.0, body, None, np.full(len(body), np.nan))
     return [target, _on_background(target, body, np.array([26.0, 56.0]), rng)]
 
 
-def caviar_targets(folder: Path, name: str, people: int) -> list[Target]:
+def caviar_targets(folder: Path, name: str, people: int) -> list[TargetSequence]:
     """Return the people of a recording of CAVIAR's lobby whose boxes move furthest."""
 
     def way(person: LabelledPerson) -> float:
@@ -303,7 +305,7 @@ def caviar_targets(folder: Path, name: str, people: int) -> list[Target]:
     return found
 
 
-def corridor_targets(folder: Path, people: int) -> list[Target]:
+def corridor_targets(folder: Path, people: int) -> list[TargetSequence]:
     """Return people of CAVIAR's corridor, from in front."""
     from perception.detection.boxes import read_boxes
 
@@ -321,7 +323,7 @@ def corridor_targets(folder: Path, people: int) -> list[Target]:
     return found
 
 
-Source = Callable[[], list[Target]]
+Source = Callable[[], list[TargetSequence]]
 
 
 def sources(part: int, data: Path | None, size: int) -> list[Source]:

@@ -63,7 +63,7 @@ def kind_of(tracker: str) -> int:
     return next(k for k, names in enumerate(KINDS.values()) if tracker in names)
 
 
-class Evidence:
+class FollowEvidence:
     """Features of one target's boxes, averaged over about 0.3 s.
 
     Parameters

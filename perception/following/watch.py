@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.hog import PeopleDetector
-from perception.following.confidence import START_LEAST, Evidence, load_confidence
+from perception.following.confidence import START_LEAST, FollowEvidence, load_confidence
 from perception.following.ground import PERSON_IN_HEADS
 from perception.images.pixels import Image, box_text, crop
 from perception.models import load_head_localiser
@@ -95,7 +95,7 @@ class TargetWatch:
         self._tracker, self._seconds, self._later, self._person = tracker, seconds, later, person
         self._model = load_confidence()
         self._detector: PeopleDetector | None = None
-        self._evidence: Evidence | None = None
+        self._evidence: FollowEvidence | None = None
         self._searched = -np.inf
         self._first: FloatArray | None = None
         self._best = 0.0
@@ -109,7 +109,7 @@ class TargetWatch:
         InputError
             If the target is to be a person, and none is in the box.
         """
-        self._evidence, self.loss = Evidence(self._tracker, self._later(number)), LossDetector()
+        self._evidence, self.loss = FollowEvidence(self._tracker, self._later(number)), LossDetector()
         self._first, self._best = None, 0.0
         judged = self.judge(number, image, estimate)
         if self._person and estimate.found and self._best < START_LEAST:

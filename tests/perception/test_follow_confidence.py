@@ -11,7 +11,7 @@ from command import Done, run
 
 from perception.detection.boxes import FrameDetections
 from perception.experiments import following
-from perception.experiments.following import Samples, Target, samples_of, street_targets, tables_of
+from perception.experiments.following import Samples, TargetSequence, samples_of, street_targets, tables_of
 from perception.following import watch
 from perception.following.confidence import _RANGES, _SIGNS, KINDS, START_LEAST, load_confidence, tempered
 from perception.following.watch import LOST_AFTER, LossDetector
@@ -23,19 +23,19 @@ GONE = 22
 
 
 @pytest.fixture(scope="module")
-def streets() -> dict[int, list[Target]]:
+def streets() -> dict[int, list[TargetSequence]]:
     """Streets that nothing was fitted to: with starts on the background, and with people who disappear."""
     return {seed: street_targets(seed) for seed in (3000, 3001, 3005, 3007)}
 
 
 @pytest.fixture(scope="module")
-def runs(streets: dict[int, list[Target]]) -> list[Samples]:
+def runs(streets: dict[int, list[TargetSequence]]) -> list[Samples]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(following, "TRACKERS", ("sigma-pi", "cue-graph", "color"))
         return [run for targets in streets.values() for one in targets for run in samples_of(one)]
 
 
-def follow(target: Target, folder: Path, *arguments: object) -> tuple[Done, list[dict[str, str]]]:
+def follow(target: TargetSequence, folder: Path, *arguments: object) -> tuple[Done, list[dict[str, str]]]:
     """Write the images, follow with the colour tracker, and read the table."""
     images, output = folder / "images", folder / "boxes.csv"
     if not images.is_dir():
@@ -102,7 +102,7 @@ def test_tables_have_the_frames_of_all_runs(runs: list[Samples]) -> None:
 
 
 def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(
-    streets: dict[int, list[Target]], tmp_path: Path
+    streets: dict[int, list[TargetSequence]], tmp_path: Path
 ) -> None:
     target = streets[3005][0]
     done, rows = follow(target, tmp_path)
@@ -118,7 +118,7 @@ def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(
 
 
 def test_a_start_on_the_background_is_refused_unless_anything_is_followed(
-    streets: dict[int, list[Target]], tmp_path: Path
+    streets: dict[int, list[TargetSequence]], tmp_path: Path
 ) -> None:
     target = next(one for one in streets[3000] if one.start is not None)
     done, rows = follow(target, tmp_path)
@@ -128,7 +128,7 @@ def test_a_start_on_the_background_is_refused_unless_anything_is_followed(
     assert done.returncode == 0 and len(rows) == len(target.images), done.stderr
 
 
-def test_a_later_start(streets: dict[int, list[Target]], tmp_path: Path) -> None:
+def test_a_later_start(streets: dict[int, list[TargetSequence]], tmp_path: Path) -> None:
     target = streets[3001][0]
     box = ",".join(f"{value:.1f}" for value in target.body[10])
     done, rows = follow(target, tmp_path, "--init", box, "--start", 10 / target.fps)
