@@ -19,6 +19,7 @@ from graphtrack.constants.population import DENSITIES, Population
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.engines import PersonalConstants
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.tracks.track import Track, TrackSet
 
@@ -420,3 +421,16 @@ def test_many_outliers_are_named_where_they_are_not_learned_and_corrected_on_req
     _, model = declared_noise(tracks, MODEL).corrected(tracks, MODEL)
     assert model.parameters.likelihood.outliers("head") == 0.3
     assert declared_noise(tracks, model).lines() == []
+
+
+@pytest.mark.parametrize(
+    ("degrees", "assumed", "noted"), [(2.0, (), True), (9.0, (), False), (2.0, ("head_std",), False)]
+)
+def test_noise_of_angles_that_few_detectors_reach_is_named(
+    degrees: float, assumed: tuple[str, ...], noted: bool
+) -> None:
+    noise = {"position_std": 0.1, "head_std": np.radians(degrees)}
+    one = PersonalConstants(0.1, 0.1, 0.1, {"free": 1.0}, noise, assumed)
+    assert (
+        any("noise of head below 5°" in line and "head_kappa" in line for line in one.noise_lines()) == noted
+    )

@@ -10,6 +10,7 @@ import pytest
 from refusals import refused
 
 import graphtrack as gt
+from graphtrack.errors import InputError
 
 FRAMES = 9
 SIZE = (1600, 800)
@@ -282,3 +283,19 @@ def test_boxes_of_tables_are_scored_in_the_image(tmp_path: Path) -> None:
     assert zero.together.idf1 < 1.0 and zero.notes
     found = gt.score(*files, iou=0.9, frame_offset=1)
     assert found.together.idf1 == 1.0 and not found.notes
+
+
+def test_what_is_left_of_nothing_names_its_reasons(tmp_path: Path) -> None:
+    every = [{"image_id": k, "category_id": 0, "bbox": [5 * k, 200, 40, 100], "score": 0.9} for k in range(9)]
+    (tmp_path / "results.json").write_text(json.dumps(every))
+    with pytest.raises(InputError, match=r"no detections \(9 rows of category 0\).*--class NAME"):
+        gt.associate(tmp_path / "results.json", fps=10.0, metres_per_pixel=SCALE)
+
+
+def test_a_wrong_rate_of_detections_is_doubted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    places = [np.column_stack([np.arange(60), *rng.uniform(0, 900, (2, 60))]) for _ in range(2)]
+    person = np.column_stack([np.arange(60), 0.05 * np.arange(60), np.zeros(60)])
+    table = pd.DataFrame(np.concatenate([*places, person]), columns=["frame", "x", "y"])
+    notes = gt.associate(table, fps=25.0).summary.notes
+    assert any("most detections are taken for false" in note for note in notes)
