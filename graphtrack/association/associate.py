@@ -225,8 +225,8 @@ def detections_of(rows: Rows, sensors: Sensors = NO_SENSORS) -> tuple[Rows, Dete
     rows = usable(rows)
     if not len(rows):
         why = ", ".join(f"{counted(n, 'row')} {reason}" for reason, n in rows.refused.items())
-        hint = "; --class NAME reads others" if " of c" in why else ""
-        raise InputError(f"no detections ({why or 'no rows'})", f"at least one{hint}", path=rows.path)
+        expected = "at least one; --class NAME reads others than people"
+        raise InputError(f"no detections ({why or 'no rows'})", expected, path=rows.path)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
     if "position_covariance" in rows.channels:
         std = of_axes(rows.channels.get("position_std"), rows.channels["position_covariance"])

@@ -156,7 +156,7 @@ def demo(
         title="graphtrack demo",
         comparison=comparison.rows,
         calibration=comparison.calibration,
-        sections=run_sections(work.observed, found, work.model),
+        sections=run_sections(work.observed, found, work.model, checked),
     )
     write_html(out / REPORT, report)
     emit(f"the report is {out / REPORT}")

@@ -124,6 +124,10 @@ class SolverOptions:
                 raise InputError(f"{name} = {value!r}", "a finite number that is not negative")
 
 
+SMALL_NOISE = math.radians(5.0)
+"""Learned noise of angles that few detectors reach: it may be the part of their errors that does not last."""
+
+
 @dataclass(frozen=True)
 class PersonalConstants:
     """The constants of a person.
@@ -197,10 +201,6 @@ class PersonalConstants:
             f"q = {self.acceleration_density:.2g} m²/s³, body turns {turns[0]:.0f}°/√s, "
             f"head turns {turns[1]:.0f}°/√s, {likely} ({100.0 * self.coupling[likely]:.0f} %)"
         )
-
-
-SMALL_NOISE = math.radians(5.0)
-"""Learned noise of angles that few detectors reach: it may be the part of their errors that does not last."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -385,22 +385,18 @@ class LookSummary:
 
     def to_dict(self, names: Mapping[int, str] | None = None) -> dict[str, Any]:
         """For a JSON file; ``names``: of people whom their file names, by track id."""
-        known = {} if names is None else {str(track_id): name for track_id, name in names.items()}
-
-        def called(person: int) -> int | str:
-            return known.get(str(person), person)
-
+        called = {one: (names or {}).get(one, one) for one in self.people}
         return {
-            "people": [called(one) for one in self.people],
-            "targets": [known.get(one, one) for one in self.targets],
+            "people": list(called.values()),
+            "targets": [*map(str, called.values()), *self.targets[len(called) :]],
             "seconds": np.round(self.matrix, 3).tolist(),
             "mutual": [
-                {"a": called(a), "b": called(b), "seconds": round(s, 3)} for (a, b), s in self.mutual.items()
+                {"a": called[a], "b": called[b], "seconds": round(s, 3)} for (a, b), s in self.mutual.items()
             ],
             "dwell": [
                 {
                     "place": place,
-                    "track_id": called(person),
+                    "track_id": called[person],
                     "seconds": round(seconds, 3),
                     "intervals": intervals,
                 }

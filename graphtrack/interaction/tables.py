@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -131,8 +131,10 @@ def read_gaze(path: str | Path, ids: Mapping[str, int] | None = None) -> LookLab
     cells = open_table(path, ("frame", "track_id", "target"))
     frame, person = integers(cells, "frame"), known_ids(cells, "track_id", ids)
     _check_once(cells, frame, person)
-    cells, places = _with_numbers(cells, ids or {})
-    target = known_ids(cells, "target", ids, _UNKNOWN)
+    places = _places_in(cells, ids or {})
+    codes = {name: UNLABELLED - 1 - k for k, name in enumerate(places)}
+    targets = {**(ids or {}), **dict.fromkeys(_NOBODY_WORDS, NOBODY), **codes}
+    target = known_ids(cells, "target", targets, _UNKNOWN)
     has_number = target != _UNKNOWN
     cells.refuse(has_number & (target == person), "target", "another person, or -1 for nobody")
     order = np.lexsort((frame, person))
@@ -140,18 +142,14 @@ def read_gaze(path: str | Path, ids: Mapping[str, int] | None = None) -> LookLab
     return LookLabels(frame[order], person[order], target[order], cells.path, places)
 
 
-def _with_numbers(cells: Cells, ids: Mapping[str, int]) -> tuple[Cells, tuple[str, ...]]:
-    """Return gaze labels whose targets without a number have one, and the names of places among them."""
+def _places_in(cells: Cells, ids: Mapping[str, int]) -> tuple[str, ...]:
+    """Return the names of places among the targets of gaze labels; numbers below `NOBODY` are refused."""
     given = ["" if is_missing(cell) else str(cell).strip() for cell in cells.columns["target"].tolist()]
-    number = {cell: parse_number(cell) for cell in set(given)}
+    number = {cell: parse_number(cell) for cell in {*given}}
     below = np.array([(value := number[cell]) is not None and value < NOBODY for cell in given])
     cells.refuse(below, "target", "an id, the name of a place, or -1 for nobody")
-    text = [cell if cell and cell not in ids and number[cell] is None else "" for cell in given]
-    places = tuple(sorted({cell for cell in text if cell and cell not in _NOBODY_WORDS}))
-    code = {name: UNLABELLED - 1 - k for k, name in enumerate(places)} | dict.fromkeys(_NOBODY_WORDS, NOBODY)
-    targets = [str(code[name]) if name else cell for name, cell in zip(text, given, strict=True)]
-    columns = {**cells.columns, "target": np.array(targets, dtype=object)}
-    return replace(cells, columns=columns, floats=lambda _: None), places
+    no_places = {"", *ids, *_NOBODY_WORDS}
+    return tuple(sorted(cell for cell in number.keys() - no_places if number[cell] is None))
 
 
 def read_attention(path: str | Path) -> list[Attention]:

@@ -307,7 +307,7 @@ def camera_of_point_pairs(path: str | Path) -> tuple[GroundCamera, tuple[str, ..
     return camera, (
         f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "
         f"{fit.max_error:.3g} m at most{exact}",
-        *_odd_pair(numbers),
+        *_odd_pair(numbers, fit.rms_error),
         *_handedness(camera),
     )
 
@@ -316,7 +316,7 @@ _ENOUGH_PAIRS, _ODD = 6, 5.0
 """Pairs from which one can be told from the others, and how much better these fit without it."""
 
 
-def _odd_pair(numbers: FloatArray) -> tuple[str, ...]:
+def _odd_pair(numbers: FloatArray, rms_of_all: float) -> tuple[str, ...]:
     """Return a note on the one point pair that the others contradict, if there is one."""
     count = len(numbers)
     if count < _ENOUGH_PAIRS:
@@ -332,8 +332,7 @@ def _odd_pair(numbers: FloatArray) -> tuple[str, ...]:
         away = float(np.linalg.norm(camera.image_to_ground(pixel[k]) - ground[k]))
         left_out.append((fit.rms_error, away, k))
     rms, away, k = min(left_out, default=(np.inf, 0.0, 0))
-    _, fit = GroundCamera.from_point_pairs(pixel, ground)
-    if not (_ODD * rms < fit.rms_error and away > _ODD * rms):
+    if not (_ODD * rms < rms_of_all and away > _ODD * rms):
         return ()
     pair = " ".join(f"{value:g}" for value in numbers[k])
     return (f"the pair {pair} is {away:.3g} m from where the others place it, which fit to {rms:.2g} m",)

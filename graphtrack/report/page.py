@@ -165,7 +165,10 @@ def tracking_report(
 
 
 def run_sections(
-    observed: TrackSet, found: Sequence[Solution | Failure], model: Model
+    observed: TrackSet,
+    found: Sequence[Solution | Failure],
+    model: Model,
+    calibration: Records | None = None,
 ) -> tuple[Section, ...]:
     """Return the sections on a smoothing run: calibration on its observations, constants, and methods.
 
@@ -173,6 +176,7 @@ def run_sections(
     ----------
     observed : the observations that were solved, of which some may have no solution
     found, model : of the run
+    calibration : from `observed_calibration`, where it is known already
     """
     from graphtrack.evaluation.observed import observed_calibration  # the solver takes long to import
 
@@ -183,8 +187,9 @@ def run_sections(
     words = methods_text(
         model, good[0].engine, constants=learned, summary=observed.summary, failed=len(found) - len(good)
     )
+    checked = observed_calibration(observed, good, model) if calibration is None else calibration
     return (
-        *observed_section(observed_calibration(observed, good, model)),
+        *observed_section(checked),
         *constants_section(learned, observed.names),
         methods_section(methods_lines(*words)),
     )

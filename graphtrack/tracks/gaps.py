@@ -102,6 +102,7 @@ def without_absences(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple
     """
     kept: list[Track] = []
     absent: list[str] = []
+    names = tracks.names
     for track in tracks:
         empty = ~_was_observed(track)
         # Runs of empty rows, with the observations before and after.
@@ -113,7 +114,7 @@ def without_absences(tracks: TrackSet, longest: float = LONGEST_FILLED) -> tuple
             if track.t[after] - track.t[before] > longest + TIME_TOLERANCE:
                 left_out[first : last + 1] = True
         if left_out.any() and not left_out.all():
-            absent.append(tracks.names[track.track_id])
+            absent.append(names[track.track_id])
             track = track[~left_out]
         kept.append(track)
     if not absent:
