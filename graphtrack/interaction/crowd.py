@@ -52,6 +52,7 @@ class CrowdMeasures:
         speed (m/s, mean of the people inside)
     lines : a row for each line: line, length (m), crossed, to_left, to_right, flow (1/s), specific_flow
         (1/(m s))
+    visits : a row for each stay of a person in a zone: zone, track_id, start, end, seconds
     crossings : a row for each person's first crossing of a line: line, track_id, frame, t, side ("left" or
         "right", of the way from the first to the second point), count (so far)
     flow : a row for each line and interval: line, flow (1/s), speed (m/s, mean at the crossings)
@@ -60,6 +61,7 @@ class CrowdMeasures:
     zones: Columns
     density: Columns
     lines: Columns
+    visits: Columns
     crossings: Columns
     flow: Columns
 
@@ -111,9 +113,10 @@ def crowd_measures(
     of_zones = [_of_zone(one, recording) for one in zones]
     of_lines = [_of_line(one, recording) for one in lines]
     return CrowdMeasures(
-        _table([summary for summary, _ in of_zones]),
-        _joined([columns for _, columns in of_zones]),
+        _table([summary for summary, _, _ in of_zones]),
+        _joined([columns for _, columns, _ in of_zones]),
         _table([summary for summary, _, _ in of_lines]),
+        _joined([visits for _, _, visits in of_zones]),
         _joined([columns for _, columns, _ in of_lines]),
         _joined([columns for _, _, columns in of_lines]),
     )
@@ -189,8 +192,8 @@ def _area(module: Any, trajectory: Any, walkable: AreaLike | None, places: Seque
     return area
 
 
-def _of_zone(zone: Place, recording: _Recording) -> tuple[dict[str, Any], Columns]:
-    """Return the summary of a zone, and its rows over time."""
+def _of_zone(zone: Place, recording: _Recording) -> tuple[dict[str, Any], Columns, Columns]:
+    """Return the summary of a zone, its rows over time, and the stays of people in it."""
     module, shapely = recording.module, package("shapely", EXTRA)
     outline = (
         shapely.Point(zone.outline[0]).buffer(zone.radius) if zone.radius else shapely.Polygon(zone.outline)
@@ -224,38 +227,49 @@ def _of_zone(zone: Place, recording: _Recording) -> tuple[dict[str, Any], Column
         "voronoi_density": table["voronoi_density"].to_numpy(),
         "speed": speeds,
     }
-    entered, left, seconds, visitors = _visits(outline, recording)
+    entered, left, visits = _visits(zone.name, outline, recording)
+    seconds = visits["seconds"]
     summary = {
         "zone": zone.name,
         "area": outline.area,
-        "people": visitors,
+        "people": len(np.unique(visits["track_id"])),
         "entered": entered,
         "left": left,
         "mean_people": float(people.mean()),
         "most_people": int(people.max()),
-        "mean_stay": float(np.mean(seconds)) if seconds else np.nan,
+        "mean_stay": float(np.mean(seconds)) if len(seconds) else np.nan,
         "mean_density": float(columns["voronoi_density"].mean()),
         "most_density": float(columns["voronoi_density"].max()),
         "mean_speed": float(np.average(speeds[people > 0], weights=people[people > 0]))
         if people.any()
         else np.nan,
     }
-    return summary, columns
+    return summary, columns, visits
 
 
-def _visits(outline: Any, recording: _Recording) -> tuple[int, int, list[float], int]:
-    """Return how often people entered and left a zone, the seconds of each visit, and their number."""
+def _visits(zone: str, outline: Any, recording: _Recording) -> tuple[int, int, Columns]:
+    """Return how often people entered and left a zone, and their stays."""
     shapely = package("shapely", EXTRA)
-    entered = left = visitors = 0
-    seconds: list[float] = []
-    for _, track in recording.trajectory.data.groupby("id"):
+    entered = left = 0
+    people: list[NDArray[Any]] = []
+    spans: list[FloatArray] = []
+    for person, track in recording.trajectory.data.groupby("id"):
         inside = shapely.contains_xy(outline, track["x"].to_numpy(), track["y"].to_numpy())
         changes = np.diff(inside.astype(np.int8))
         entered, left = entered + int((changes > 0).sum()), left + int((changes < 0).sum())
-        visitors += bool(inside.any())
-        edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
-        seconds += ((edges[1::2] - edges[::2]) / recording.rate).tolist()
-    return entered, left, seconds, visitors
+        edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+        start = np.array([recording.t[frame] for frame in track["frame"].to_numpy()[edges[:, 0]].tolist()])
+        spans.append(np.column_stack([start, (edges[:, 1] - edges[:, 0]) / recording.rate]))
+        people.append(np.full(len(edges), person, np.int64))
+    start, seconds = np.concatenate(spans).T
+    visits: Columns = {
+        "zone": np.full(len(start), zone, object),
+        "track_id": np.concatenate(people),
+        "start": start,
+        "end": start + seconds,
+        "seconds": seconds,
+    }
+    return entered, left, visits
 
 
 def _of_line(line: Place, recording: _Recording) -> tuple[dict[str, Any], Columns, Columns]:

@@ -36,6 +36,10 @@ def test_counts_stays_speeds_and_flow_are_those_of_the_paths() -> None:
     assert zone["mean_stay"] == pytest.approx(10.0 / 1.2, abs=0.15)
     assert zone["mean_speed"] == pytest.approx(1.2)
     assert zone["area"] == pytest.approx(100.0)
+    assert np.unique(found.visits["track_id"]).tolist() == [*range(6)]
+    np.testing.assert_allclose(np.sort(found.visits["start"]), 6.0 - 5.0 / 1.2 + np.arange(6), atol=0.11)
+    np.testing.assert_allclose(found.visits["end"] - found.visits["start"], found.visits["seconds"])
+    np.testing.assert_allclose(found.visits["seconds"], 10.0 / 1.2, atol=0.11)
     # Left of the way from below to above is the side of smaller x.
     assert (line["crossed"], line["to_right"], line["to_left"]) == (6, 4, 2)
     assert line["length"] == 10.0 and line["specific_flow"] == pytest.approx(line["flow"] / 10.0)
@@ -43,6 +47,17 @@ def test_counts_stays_speeds_and_flow_are_those_of_the_paths() -> None:
     np.testing.assert_array_equal(found.crossings["side"], ["right", "right", "left"] * 2)
     np.testing.assert_allclose(found.flow["speed"], 1.2, atol=1e-9)
     assert found.flow["flow"] == pytest.approx(1.2, abs=0.05)  # six people in five seconds
+
+
+def test_who_leaves_a_zone_and_returns_stays_twice() -> None:
+    t = np.arange(100) / RATE
+    x = np.where((t >= 2.0) & (t < 5.0), 15.0, 5.0)  # outside for three seconds
+    rows = [{"track_id": 7, "frame": k, "t": t[k], "x": x[k], "y": 0.0} for k in range(len(t))]
+    found = gt.crowd_measures(gt.TrackSet.from_table(pd.DataFrame(rows)), [ZONE])
+    np.testing.assert_allclose(found.visits["start"], [0.0, 5.0])
+    np.testing.assert_allclose(found.visits["end"], [2.0, 10.0])
+    (zone,) = pd.DataFrame(found.zones).to_dict("records")
+    assert (zone["people"], zone["mean_stay"]) == (1, pytest.approx(3.5))
 
 
 def test_people_in_an_exact_pattern_have_cells() -> None:
@@ -125,7 +140,7 @@ def test_the_command_writes_tables_and_the_report_a_section(files: Path) -> None
     )
     assert done.returncode == 0, done.stderr
     assert {one.name for one in Path("out").iterdir()} == {
-        f"{name}.csv" for name in ("zones", "density", "lines", "crossings", "flow")
+        f"{name}.csv" for name in ("zones", "density", "visits", "lines", "crossings", "flow")
     }
     assert len(pd.read_csv("out/crossings.csv")) == 6
     summary = json.loads(Path("out.json").read_text())
