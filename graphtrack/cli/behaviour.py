@@ -86,7 +86,8 @@ def crowd(
 
     Parameters
     ----------
-    output : Folder for zones.csv, density.csv (over time), visits.csv (of each person), lines.csv, crossings.csv and flow.csv.
+    output : Folder for zones.csv, density.csv (over time), visits.csv (of each person), lines.csv,
+        crossings.csv and flow.csv.
     places : CSV of zones and lines: name and x, y, radius, or name and polygon (x y x y …), of which two
         points are a line.
     """
@@ -95,7 +96,9 @@ def crowd(
     from graphtrack.report.crowd import LINES, ZONES, shown_rows
     from graphtrack.tracks.table import with_names
 
-    tables = {name: output / f"{name}.csv" for name in ("zones", "density", "visits", "lines", "crossings", "flow")}
+    tables = {
+        name: output / f"{name}.csv" for name in ("zones", "density", "visits", "lines", "crossings", "flow")
+    }
     given = {**reading.inputs(inputs, model), "--places": places, "--walkable": walkable}
     options.check_outputs({"--output": list(tables.values()), "--json": json_path}, given, to_make=[output])
     tracks = estimated(reading.tracks(inputs), model)

@@ -27,8 +27,8 @@ from graphtrack.model.observation import Covariance
 from graphtrack.streaming.clock import StreamClock
 from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors, Waiting
-from graphtrack.tracks.cells import Layout
-from graphtrack.tracks.schema import NAMES, in_order, is_column, numeric, unknown
+from graphtrack.tracks.cells import Layout, box_of
+from graphtrack.tracks.schema import BOX_KEYS, BOXES, CLASS, NAMES, in_order, is_column, numeric, unknown
 from graphtrack.tracks.table import ANGLES, IN_DEGREES
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN, NotIso, TimeScale, from_text, is_iso
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
@@ -388,6 +388,9 @@ DATES = "dates"
 _MICROSECONDS = 6
 """Decimals of the seconds of dates, where the first has none."""
 
+BOX = "box"
+"""Key there of the columns of boxes, where rows have them in place of positions."""
+
 KNOWN = "known_names"
 """Key there of the flag that columns were read by well-known names."""
 
@@ -434,6 +437,7 @@ class StreamNames:
     radians : columns of the native table that are radians in the stream
     angles : convention of the stream's angles; None: native
     camera : of the stream, for angles that are directions in its image
+    box : columns of the native table of the boxes whose foot points are the pixels; empty: no boxes
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -444,6 +448,7 @@ class StreamNames:
     radians: frozenset[str] = frozenset()
     angles: AngleConvention | None = None
     camera: GroundCamera | None = None
+    box: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, layout: Layout) -> StreamNames:
@@ -455,15 +460,18 @@ class StreamNames:
             For layouts that a stream does not support: geographic degrees, columns for each person, and text
             for times.
         """
-        for key, name in layout.columns.items():
-            if not (is_column(key) or key in ANGLES) or name in layout.wild.values():
+        given = {key: name for key, name in layout.columns.items() if key != CLASS}
+        if "score" not in given and "confidence" in given:
+            given["score"] = given.pop("confidence")
+        for key, name in given.items():
+            if not (is_column(key) or key in (*ANGLES, *BOX_KEYS)) or name in layout.wild.values():
                 raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
         unit = layout.time_unit or "s"
         if unit not in NANOSECONDS_IN:
             raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS_IN)}")
         if layout.units is not None or layout.crs is not None:
             raise InputError("--units or --crs with -", "rows in metres")
-        columns = {ANGLES.get(key, key): name for key, name in layout.columns.items()}
+        columns = {ANGLES.get(key, key): name for key, name in given.items()}
         radians = frozenset(native for key, native in ANGLES.items() if key in layout.columns)
         return cls(columns, NANOSECONDS_IN[unit], radians=radians)
 
@@ -489,7 +497,7 @@ class StreamNames:
         lines, given = with_first_row(lines, refuse)
         if given is None:
             return lines, self
-        names = self._with_synonyms(list(given), note)
+        names = self._with_synonyms(list(given), note)._with_boxes(list(given))
         text = next(
             (given[name] for name in map(names._name, _TIMES) if isinstance(given.get(name), str)), ""
         )
@@ -516,6 +524,15 @@ class StreamNames:
             raise InputError(f"column {layout.columns['x']} with -", "a column of positions in metres")
         return replace(self.of(layout), are_known=True).with_angles(self.angles, self.camera)
 
+    def _with_boxes(self, given: list[str]) -> StreamNames:
+        """Return a copy for rows with boxes in place of positions."""
+        names = set(given)
+        if {self._name("x"), self._name("u")} & names:
+            return self
+        return replace(
+            self, box=next((form for form in BOXES if {self._name(key) for key in form} <= names), ())
+        )
+
     def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
         """Return the names of a resumed stream, given the settings of its state."""
         names, columns, per_second = self, saved.get("columns"), saved.get("per_second")
@@ -523,6 +540,8 @@ class StreamNames:
             unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
             known = {str(key): str(name) for key, name in columns.items()}
             names = replace(self, columns=known, unit=unit, are_known=True)
+        if isinstance(box := saved.get(BOX), list):
+            names = replace(names, box=tuple(box))
         if isinstance(dates := saved.get(DATES), str) and is_iso(dates):
             scale = from_text([dates], None)[1]
             return replace(names, dates=scale)
@@ -536,7 +555,8 @@ class StreamNames:
     @property
     def are_native(self) -> bool:
         """Return True if all names and units are those of the native table."""
-        return not self.columns and self._leaves_times and self.dates is None and self.angles is None
+        plain = not self.columns and not self.box and self.dates is None
+        return plain and self._leaves_times and self.angles is None
 
     @property
     def _leaves_times(self) -> bool:
@@ -550,6 +570,7 @@ class StreamNames:
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
         found |= {"radians": sorted(self.radians)} if self.radians else {}
+        found |= {BOX: list(self.box)} if self.box else {}
         found |= {} if self.dates is None else {DATES: self.dates.restored(np.zeros(1))[0]}
         return found | ({KNOWN: True} if self.are_known else {})
 
@@ -582,6 +603,8 @@ class StreamNames:
             if name not in meaning and name in self.columns:  # another column has that meaning
                 continue
             found.append((key, self._seconds(value) if key in _TIMES else value))
+        if self.box:
+            found = self._with_foot_point(found)
         if self.angles is not None or self.radians:
             headings = self._angles(dict(found))
             found = [(key, headings.get(key, value)) for key, value in found]
@@ -590,6 +613,15 @@ class StreamNames:
         # A repeated key is kept, since it is an error.
         body = ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in found)
         return f"{{{body}}}\n".encode()
+
+    def _with_foot_point(self, pairs: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+        """Replace the box of a row by the pixel of its foot point."""
+        given = {key: value for key, value in pairs if key in self.box and _is_number(value)}
+        if len(given) < len(self.box):
+            return pairs
+        left, top, width, height = box_of(self.box, given)
+        foot: list[tuple[str, Any]] = [("u", left + width / 2.0), ("v", top + height)]
+        return [pair for pair in pairs if pair[0] not in self.box] + foot
 
     def _seconds(self, value: Any) -> Any:
         if self.dates is not None:

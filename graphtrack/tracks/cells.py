@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -770,6 +770,19 @@ def _drop_half_positions(columns: dict[str, NDArray[Any]], notes: list[str]) -> 
             notes.append(f"{counted(half, 'row')} with only one of {first} and {second}: without a position")
 
 
+Side = TypeVar("Side", float, FloatArray)
+
+
+def box_of(form: Sequence[str], given: Mapping[str, Side]) -> tuple[Side, Side, Side, Side]:
+    """Return left, top, width and height of boxes whose columns have one of the forms `BOXES`."""
+    first, second, third, fourth = (given[key] for key in form)
+    if "right" in form:
+        third, fourth = third - first, fourth - second
+    if "center_x" in form:
+        first, second = first - third / 2.0, second - fourth / 2.0
+    return first, second, third, fourth
+
+
 def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
     """Replace the columns of boxes by those of their foot points; return the channels of boxes.
 
@@ -781,12 +794,7 @@ def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
     form = next((form for form in BOXES if set(form) <= given.keys()), None)
     if form is None or {"x", "u", DEGREES[0]} & columns.keys():
         return None
-    first, second, third, fourth = (given[key] for key in form)
-    if "right" in form:
-        third, fourth = third - first, fourth - second
-    if "center_x" in form:
-        first, second = first - third / 2.0, second - fourth / 2.0
-    box = np.column_stack([first, second, third, fourth])
+    box = np.column_stack(box_of(form, given))
     box[np.isnan(box).any(axis=1)] = np.nan
     columns["u"], columns["v"] = box[:, 0] + box[:, 2] / 2.0, box[:, 1] + box[:, 3]
     if "track_id" in columns:
