@@ -38,7 +38,7 @@ def tracks() -> TrackSet:
 
 @pytest.fixture(scope="module")
 def comparison(tracks: TrackSet) -> Comparison:
-    return compare(tracks)
+    return compare(tracks.map(lambda track: track[:25]))
 
 
 def value(found: Comparison, method: str, metric: str, column: str = "median") -> float:

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,17 +23,18 @@ GONE = 22
 """Frame in which the people of a third of the streets disappear."""
 
 
-@pytest.fixture(scope="module")
-def streets() -> dict[int, list[TargetSequence]]:
-    """Streets that nothing was fitted to: with starts on the background, and with people who disappear."""
-    return {seed: street_targets(seed) for seed in (3000, 3001, 3005, 3007)}
+BACKGROUND, ALWAYS, ABSENT = 3000, 3001, 3005
+"""Streets that nothing was fitted to: with a start on the background, and with people who disappear."""
+
+street = cache(street_targets)
 
 
 @pytest.fixture(scope="module")
-def runs(streets: dict[int, list[TargetSequence]]) -> list[Samples]:
+def runs() -> list[Samples]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(following, "TRACKERS", ("sigma-pi", "cue-graph", "color"))
-        return [run for targets in streets.values() for one in targets for run in samples_of(one)]
+        seeds = (BACKGROUND, ALWAYS, ABSENT, 3007)
+        return [run for seed in seeds for one in street(seed) for run in samples_of(one)]
 
 
 def follow(target: TargetSequence, folder: Path, *arguments: object) -> tuple[Done, list[dict[str, str]]]:
@@ -101,10 +103,8 @@ def test_tables_have_the_frames_of_all_runs(runs: list[Samples]) -> None:
     assert sum(row["starts"] for row in summary) == len(runs)
 
 
-def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(
-    streets: dict[int, list[TargetSequence]], tmp_path: Path
-) -> None:
-    target = streets[3005][0]
+def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(tmp_path: Path) -> None:
+    target = street(ABSENT)[0]
     done, rows = follow(target, tmp_path)
     assert done.returncode == 0, done.stderr
     states = [row["state"] for row in rows]
@@ -117,10 +117,8 @@ def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(
     assert f"lost in frames {states.index('lost')} to the end" in done.stderr
 
 
-def test_a_start_on_the_background_is_refused_unless_anything_is_followed(
-    streets: dict[int, list[TargetSequence]], tmp_path: Path
-) -> None:
-    target = next(one for one in streets[3000] if one.start is not None)
+def test_a_start_on_the_background_is_refused_unless_anything_is_followed(tmp_path: Path) -> None:
+    target = next(one for one in street(BACKGROUND, frames=25) if one.start is not None)
     done, rows = follow(target, tmp_path)
     assert done.returncode == 2 and not rows and done.stderr.count("error:") == 1
     assert "--init" in done.stderr and "--start" in done.stderr and "--no-check" in done.stderr
@@ -128,8 +126,8 @@ def test_a_start_on_the_background_is_refused_unless_anything_is_followed(
     assert done.returncode == 0 and len(rows) == len(target.images), done.stderr
 
 
-def test_a_later_start(streets: dict[int, list[TargetSequence]], tmp_path: Path) -> None:
-    target = streets[3001][0]
+def test_a_later_start(tmp_path: Path) -> None:
+    target = street(ABSENT)[0]
     box = ",".join(f"{value:.1f}" for value in target.body[10])
     done, rows = follow(target, tmp_path, "--init", box, "--start", 10 / target.fps)
     assert done.returncode == 0, done.stderr
