@@ -214,6 +214,7 @@ def test_an_id_that_comes_back_is_another_track():
         split_at_gaps(people, 0.0)
 
 
+@pytest.mark.slow
 def test_people_who_were_missed_can_be_left_out(cwd):
     rng = np.random.default_rng(0)
     detected = gt.TrackSet((walk(), walk(seed=1, track_id=2))).to_table()

@@ -129,6 +129,7 @@ def kept(found: np.ndarray, whose: np.ndarray, frame: np.ndarray, person: int) -
     return bool(before[-1] == after[-1] > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", others_slow(range(3), [0]))
 def test_looks_tell_who_came_back_from_behind_a_pillar(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -141,6 +142,7 @@ def test_looks_tell_who_came_back_from_behind_a_pillar(seed: int) -> None:
     assert not any(kept(blind, whose, detections.frame, person) for person in pair)
 
 
+@pytest.mark.slow
 def test_missing_descriptors_and_one_that_comes_late_are_fine() -> None:
     rng = np.random.default_rng(3)
     detections, whose = met_behind_a_pillar(rng)

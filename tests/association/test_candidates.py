@@ -42,6 +42,7 @@ def cuts(search: Search) -> Any:
         yield first, *ends_at(search.chains, first, search.packed)
 
 
+@pytest.mark.slow
 def test_the_grid_finds_what_is_within_the_gate(settled: Search) -> None:
     chains, scene, rows = settled.chains, settled.packed, settled.chains.rows
     found, near = 0, np.empty(len(rows), np.int64)
@@ -124,6 +125,7 @@ def test_the_match_is_that_of_the_hungarian_method() -> None:
             assert gains[some, partner[some]].sum() == pytest.approx(best)
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     detections = packed_square(np.random.default_rng(4), people=30, frames=30)[0]
     found = []

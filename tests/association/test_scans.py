@@ -100,6 +100,7 @@ def test_scans_outside_of_a_field_of_view_are_no_misses() -> None:
     assert log_misses(0.0, 50, scene) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_people_of_two_sensors_are_found_once(seed) -> None:
     table = walks(seed, people=4, seconds=8.0)

@@ -88,6 +88,7 @@ def test_a_late_row_changes_no_forecast():
     assert [row["frame"] for rows in told for row in rows] == [1, 3]
 
 
+@pytest.mark.slow
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):
     monkeypatch.setattr("graphtrack.learning.forecasts.PLACE_STEPS", {"stop_speed": (0.0, 0.2)})
     walkers(here / "one.csv", people=1, steps=40)

@@ -75,6 +75,7 @@ class Killed(BaseException):
     """Simulate a kill: the next run finds the file as it is at that moment."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "n_frames"), [("chain", 70), pytest.param("isam2", 12, marks=pytest.mark.slow)]
 )
@@ -243,6 +244,7 @@ def replaced(entries, path, new):
     return entries
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", others_slow([1, 41], [41]))
 def test_values_of_a_wrong_type_are_refused(track, state, tmp_path, step):
     """In a file whose digests are right: each place, one after the other, holds something else."""
@@ -326,6 +328,7 @@ def renamed(line, unit):
     return json.dumps(row | {"x": "of the image"}).encode() + b"\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", others_slow(STAMPS, ["ms"]))
 def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, unit):
     lines, (scale, start) = scene(12), STAMPS[unit]
@@ -372,6 +375,7 @@ def test_a_row_that_cannot_be_read_is_answered_before_the_next_comes():
         assert process.wait(60) == 2
 
 
+@pytest.mark.slow
 def test_rows_that_were_refused_before_the_first_count_where_a_stream_goes_on(track, tmp_path):
     rows = [b'{"track_id": 1, "frame": %d, "x": 1, "y": 2}\n' % k for k in range(4)]
     options = ("--model", "position", "--fps", "10", "--state", tmp_path / "state")

@@ -94,6 +94,7 @@ def test_a_file_that_was_cut_off_is_refused_and_stays(tmp_path):
         assert path.read_bytes() == data[:end]
 
 
+@pytest.mark.slow
 def test_the_end_of_the_log_may_be_cut_off(tmp_path):
     """As a failure of the power leaves it: the last rows are missing, and it goes on."""
     path = made(tmp_path / "state")

@@ -399,6 +399,7 @@ def test_what_cannot_be_used_is_told_and_changes_nothing(
     assert [one for one in found if "error" not in one] == undisturbed
 
 
+@pytest.mark.slow
 def test_a_stream_takes_every_camera_that_files_take(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plane = np.array([[0.01, 0.001, -4.0], [0.0005, -0.02, 14.0], [1e-5, 0.0012, 0.1]])

@@ -45,6 +45,7 @@ def test_the_evidence_is_that_of_the_whole_track_at_once() -> None:
         np.testing.assert_allclose(getattr(evidence, f"{name}_diffusion"), turns, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", others_slow(ENGINES, ["chain", "isam2"]))
 def test_who_faces_the_path_is_told_from_who_does_not(engine: Any) -> None:
     ahead, _ = followed(walker(1, n=150), engine=engine)
@@ -139,6 +140,7 @@ def test_those_who_left_are_the_prior_of_those_who_come() -> None:
     assert again.population == commons.population and again.state() == commons.state()
 
 
+@pytest.mark.slow
 def test_a_recording_is_followed_in_the_order_of_time() -> None:
     """Who comes later has a prior of who was there; the first has none, whatever the order of the tracks."""
     first = [sideways(k, n=80, track_id=k) for k in range(4)]

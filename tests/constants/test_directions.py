@@ -61,6 +61,7 @@ def read_as(tracks: TrackSet, convention: AngleConvention, *names: str) -> Track
 ZEROS = st.sampled_from(["right", "up", "left", "down"])
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @given(SEEDS, ZEROS, st.sampled_from(["ccw", "cw"]), st.sampled_from([3, 5, 20]))
 def test_the_convention_of_a_file_is_found(seed: int, zero: str, sense: str, people: int) -> None:
@@ -89,6 +90,7 @@ def test_any_rotation_of_a_mirror_is_corrected(seed: int, degrees: int, is_mirro
     assert sum("--angles" in line for line in noise.lines()) == 2
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(SEEDS, st.sampled_from([1, 2, 4, 14, 40]), st.floats(0.0, 40.0), st.sampled_from([0.0, 0.25]))
 @example(3, 1, 40.0, 0.0)
@@ -165,6 +167,7 @@ def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
     assert all(one.wrong_angles is None for one in declared_noise(few, MODEL).channels)
 
 
+@pytest.mark.slow
 def test_people_who_all_side_step_are_left_alone_as_the_note_on_them_proposes() -> None:
     """The note of a mirror, or of a detector's bias, has no such option: no gait is that."""
     people = walkers(6, 12, sideways=1.0)
@@ -212,6 +215,7 @@ def test_gaits_of_their_own_are_no_bias() -> None:
     assert body is not None and not body.is_wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("convention", "word"), [("cw from right", "mirrored"), ("ccw from up", "turned")])
 def test_heads_of_people_who_stand_are_compared_with_their_bodies(convention: str, word: str) -> None:
     standing = walkers(8, 10, noise=10.0).map(lambda track: replace(track, position=0.0 * track.position))
@@ -224,6 +228,7 @@ def test_heads_of_people_who_stand_are_compared_with_their_bodies(convention: st
     assert any("head, body" in line and word in line for line in lines["head"])
 
 
+@pytest.mark.slow
 def test_the_shell_proposes_and_corrects(tmp_path: Path) -> None:
     path = tmp_path / "people.csv"
     convention = AngleConvention("up", "cw")

@@ -118,6 +118,7 @@ def test_white_noise_is_found_and_nothing_that_persists(rate: float, white: floa
     assert found.along == found.across == 0.0
 
 
+@pytest.mark.slow
 def test_turns_and_speeds_of_people_are_no_noise() -> None:
     """Simulated people whose q is that of runners who turn."""
     motion = replace(MODEL.parameters.motion, acceleration_density=2.0)
@@ -132,6 +133,7 @@ def test_turns_and_speeds_of_people_are_no_noise() -> None:
     assert found.body_noise == pytest.approx(1.0, rel=0.1) == found.head_noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [2.5, 10.0])
 def test_persistent_errors_are_found_and_intervals_hold_the_truth(rate: float) -> None:
     tracks = walks(3, 0.1, 0.4, 0.4, rate=rate)
@@ -314,6 +316,7 @@ def misdeclared(tracks: TrackSet, position: float, body: float, head: float) -> 
     return tracks.map(changed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_declared_rightly_is_not_contradicted(seed: int) -> None:
     setting = [(6, 60, 30.0), (12, 120, 10.0), (30, 30, 2.5)][seed % 3]
@@ -339,6 +342,7 @@ def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
     assert declared_noise(tracks, model).lines() == []
 
 
+@pytest.mark.slow
 def test_what_the_model_declares_is_looked_at_where_the_data_declare_nothing() -> None:
     tracks = people(2, std=0.3).map(lambda track: replace(track, position_std=None))
     (line,) = declared_noise(tracks, MODEL).lines()
@@ -356,6 +360,7 @@ def test_gross_errors_do_not_count_as_noise() -> None:
     assert declared_noise(people(3).map(spoilt), MODEL).lines() == []
 
 
+@pytest.mark.slow
 def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
     tracks = misdeclared(people(6, preset="separate"), 1 / 3, 1.0, 1.0)
     with warnings.catch_warnings():
@@ -407,6 +412,7 @@ def test_smooth_tells_of_a_wrong_sigma_and_corrects_it_where_it_is_told_to(tmp_p
     assert done.returncode == 2 and "--trust" in done.stderr
 
 
+@pytest.mark.slow
 def test_many_outliers_are_named_where_they_are_not_learned_and_corrected_on_request() -> None:
     rng = np.random.default_rng(0)
 

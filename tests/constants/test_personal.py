@@ -123,6 +123,7 @@ def test_somebody_who_faces_where_he_goes_is_coupled_however_noisy_the_angles() 
         assert free < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["body", "head"])
 @pytest.mark.parametrize("declared", [True, False])
 def test_a_classifier_that_is_often_wrong_turns_nobody(channel: str, declared: bool) -> None:
@@ -227,6 +228,7 @@ def test_gross_errors_are_found_and_move_nobody() -> None:
     assert off(gt.track_online(wrong)) < 1.3 * off(gt.track_online(people))
 
 
+@pytest.mark.slow
 def test_neither_order_nor_threads_change_an_estimate() -> None:
     people = mixed(8)
     found = gt.smooth(people, constants="learn")
@@ -240,6 +242,7 @@ def test_neither_order_nor_threads_change_an_estimate() -> None:
             assert (by_id[one.track_id].covariance == one.covariance).all()
 
 
+@pytest.mark.slow
 def test_gtsam_has_the_same_constants_and_estimates() -> None:
     people = mixed(4)
     chain, graph = (gt.smooth(people, constants="learn", engine=name) for name in ("chain", "gtsam"))  # type: ignore[call-overload]
@@ -274,6 +277,7 @@ def test_alternatives_are_averaged_with_their_spread() -> None:
     assert (np.abs(away - 0.5) < 0.25).all()
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_constants_and_refuses_others(cwd) -> None:
     gt.write(mixed(4), "walks.csv")
     done = ran("smooth", "walks.csv", "-o", "found.csv", "--report", "page.html", program="graphtrack")

@@ -95,6 +95,7 @@ def test_a_ratio_of_log_likelihoods_needs_both_below_zero() -> None:
     assert (median, people, seeds) == (3.0, 1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_what_the_gains_are_made_of() -> None:
     names = ["as recorded", "head turned around", "positions ± 0.5 m", "lengths in centimetres"]
     controls = [control for control in CONTROLS if control.name in (*names, "R = (0.07 m)²")]

@@ -125,6 +125,7 @@ def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(compa
     assert comparison.information["smoother"] == "positions, body, head; past and future"
 
 
+@pytest.mark.slow
 def test_online_methods_do_not_see_the_future(tracks: TrackSet) -> None:
     track = next(iter(tracks))[:24]
     later = track.position.copy()

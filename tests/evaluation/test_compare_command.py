@@ -52,6 +52,7 @@ def test_a_head_column_without_position_columns(compare):
     assert said.startswith("error: tracks.csv: found no position, expected columns x, y")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 12])
 def test_one_observation_is_enough_for_all(compare, n):
     status, _, found = compare(HEAD + rows(1, (0,), n))
@@ -87,6 +88,7 @@ OWN |= {"fixed-lag": "joint", "isam2": "joint", "rts": "position", "ffbs": "join
 OWN |= {"intentional-printed": "", "intentional-consistent": ""}  # no model, parameters of their paper
 
 
+@pytest.mark.slow
 def test_each_method_has_its_best_model_and_the_table_and_caption_say_which(compare):
     status, said, found = compare(HEAD + rows(1, range(12)))
     assert status == 0 and not [record for record in found["per_track"] if record["failure"]]

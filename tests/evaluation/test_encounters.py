@@ -21,6 +21,7 @@ from graphtrack.interaction.parameters import DEFAULT
 from graphtrack.tracks.track import Track, TrackSet
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("evidence", "online"),
     others_slow(
@@ -142,12 +143,14 @@ def test_a_switch_is_another_identity_than_the_one_before() -> None:
     assert switches(whose, np.array([5, 7, -1, 7, 5, 7, 7])) == 1  # none is skipped
 
 
+@pytest.mark.slow
 def test_body_and_head_tell_apart_who_turns() -> None:
     people = meetings(CLIPS, 16, np.random.default_rng(1))
     seen, whose = detected(people, 0.1, np.random.default_rng(2))
     assert switches(whose, offline(seen)) < 0.8 * switches(whose, offline(replace(seen, channels={})))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(TRACKERS))
 def test_who_walks_alone_keeps_an_identity(name: str) -> None:
     walkers = (around_a_corner(k, 0.4) for k in range(5))

@@ -46,6 +46,7 @@ from graphtrack.tracks.track import BODY_CLASSES, Track, TrackSet
 SETTINGS = Settings(quick=True)
 
 
+@pytest.mark.slow
 def test_baxter_weight_fits_each_dependence_of_the_weight(monkeypatch: pytest.MonkeyPatch) -> None:
     corpus = simulate_behaviour(4, CorpusParameters(tracks=3, steps=120), rng=SETTINGS.rng(0))
     first, *others = corpus.tracks()
@@ -111,6 +112,7 @@ def test_wrong_turns_are_those_that_last() -> None:
     assert unseen_people.wrong_turns(TrackSet((spun,)), [replace(spun, body=body)])[0] == 0
 
 
+@pytest.mark.slow
 def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = simulate("joint", n_tracks=4, n_steps=15, rng=np.random.default_rng(0))
     some = {gaits.ORDINARY: drawn, gaits.SIDEWAYS: drawn.with_tracks(drawn.tracks[:2])}
@@ -223,6 +225,7 @@ def test_each_method_gets_its_own_parameters_and_isam2_those_of_its_graph() -> N
     assert [row["κ₂"] for row in rows if row["preset"] == "joint-body"] == [None, None]
 
 
+@pytest.mark.slow
 def test_every_method_is_judged_with_default_and_with_fitted_parameters(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -245,6 +248,7 @@ def test_a_search_that_ends_where_it_may_go_no_further_says_so() -> None:
     assert at_limit(0.17, found) and not at_limit(0.17, 0.01) and at_limit(24.36, 2436.0)
 
 
+@pytest.mark.slow
 def test_differences_between_methods_are_of_the_same_people() -> None:
     rng = np.random.default_rng(0)
     hard = rng.uniform(0.0, 100.0, 30)  # differs from person to person by far more than from method to method

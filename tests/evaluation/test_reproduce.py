@@ -259,6 +259,7 @@ def test_titles_and_dots_of_a_page_are_within_their_panels(count: int) -> None:
         assert axes.get_ylim() == pytest.approx((0.0, 1.05 * 98.0))
 
 
+@pytest.mark.slow
 def test_statistics_on_the_command_line(cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
     tables = []

@@ -166,6 +166,7 @@ def test_velocities_are_those_in_the_world():
     assert np.isnan(lone["observed_velocity"]).all()
 
 
+@pytest.mark.slow
 def test_covariances_of_velocities_are_those_of_drawn_paths():
     at, errors, declared = np.array([20.0]), [], []
     channels = {"position": np.array([[4.0, 2.0]]), "observed_velocity": np.array([[0.5, -1.0]])}

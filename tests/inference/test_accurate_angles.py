@@ -67,6 +67,7 @@ def test_accurate_angles_with_outliers(std, online):
     check(found, truth, "head", std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("std", others_slow(STDS, [0.01]))
 @pytest.mark.parametrize("model", ["joint", "joint-intentional"])
 def test_engines_of_gtsam_follow_accurate_angles(model, std):

@@ -41,6 +41,7 @@ def far_off(estimate: Track, name: str) -> float:
     return float((np.abs(error[late]) > np.pi / 2.0).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "engine", "lag"),
     others_slow(
@@ -60,6 +61,7 @@ def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: f
             assert far_off(found, name) < 0.1, (track.track_id, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint", "joint-intentional"], ["joint"]))
 def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
@@ -102,6 +104,7 @@ def proposed(track: Track, states: np.ndarray) -> np.ndarray | None:
     return memory.again.copy() if unwind(Chain(problem, 0, n, float(n)), states, 0.0, memory) else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [4, 5])
 @pytest.mark.parametrize("turns", [-1.0, 1.0])
 def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turns: float) -> None:
@@ -126,6 +129,7 @@ def test_a_turn_too_many_is_taken_back_and_nothing_else_changes(place: int, turn
     assert proposed(track, states) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["joint", "joint-intentional"])
 def test_people_of_whom_the_body_is_not_seen_do_not_wind_where_they_stand(preset: str) -> None:
     people = strollers(np.random.default_rng(7), HABITS, people=30, body_std=None)
@@ -136,6 +140,7 @@ def test_people_of_whom_the_body_is_not_seen_do_not_wind_where_they_stand(preset
     assert stops > 50 and wrong <= 0.02 * stops
 
 
+@pytest.mark.slow
 def test_gtsam_unwinds_as_the_chain_does() -> None:
     people = strollers(np.random.default_rng(8), HABITS, people=4, body_std=None, seconds=15.0)
     people = people.map(lambda track: replace(track, head=None, head_kappa=None))

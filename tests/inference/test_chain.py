@@ -167,6 +167,7 @@ def grid_course(states: States, track: Track, model: Model, bins: int = 72) -> S
     return replace(states, body=angles[places[:, 0]], head=angles[places[:, 1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tracks", [8, pytest.param(300, marks=pytest.mark.slow)])
 def test_contradictions_do_not_keep_it_from_the_best_course(tracks: int) -> None:
     """At most one in a hundred hard tracks costs more than the best course on a grid."""

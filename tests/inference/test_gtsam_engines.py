@@ -67,6 +67,7 @@ def in_sigmas(track: Track, model: Model, **options: Any) -> np.ndarray:
     return away[np.isfinite(away)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "track"), problems())
 def test_the_full_history_ends_at_the_batch_answer(model: Model, track: Track) -> None:
     away = in_sigmas(track, model, **CONVERGED)
@@ -178,6 +179,7 @@ def test_offline_gtsam_ends_where_the_chain_does(make: Any) -> None:
     assert graph.cost == pytest.approx(chain.cost, abs=1e-3)
 
 
+@pytest.mark.slow
 @TRACKS
 @GTSAM_ENGINES
 def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: Any, lag: Any) -> None:

@@ -54,6 +54,7 @@ def test_somebody_who_looks_aside_is_expected_to_go_there() -> None:
     assert smooth_track(hidden, Model("intentional")).track.position[-1, 1] > 0.3
 
 
+@pytest.mark.slow
 @STEERED
 def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     """The prior on the second of two frames against the Schur complement of the curvature of both."""

@@ -360,6 +360,7 @@ def through_json(state: dict[str, Any]) -> dict[str, Any]:
     return json.loads(json.dumps(state, allow_nan=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", others_slow(PRESETS, ["joint"]))
 @pytest.mark.parametrize("lag", [1.0, None])
 def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: float | None) -> None:

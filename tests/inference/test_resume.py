@@ -128,6 +128,7 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
     assert all(through_json(later()) == now for now, later in taken)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "scene"),
     others_slow(
@@ -187,6 +188,7 @@ def assert_same(one: Estimate, other: Estimate) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["position", "joint", "joint-intentional"])
 def test_together_is_the_same_as_one_by_one(preset: str) -> None:
     people = SLOTS + 3 if preset == "joint" else 5  # more than one call takes
@@ -204,6 +206,7 @@ def test_together_is_the_same_as_one_by_one(preset: str) -> None:
     assert told > 6 * people
 
 
+@pytest.mark.slow
 def test_slots_are_used_again_blocks_let_go_and_windows_outgrow_theirs() -> None:
     def blocks() -> int:
         return len(pool_of(smoother._smoother._program).blocks)
@@ -243,6 +246,7 @@ def test_who_fails_leaves_the_others_alone_and_stays_as_they_were() -> None:
     assert joined[1].update(Observation(0.5, 5, (0.5, 1.0))).status == "new"
 
 
+@pytest.mark.slow
 def test_rows_together_are_answered_as_one_by_one() -> None:
     """Updates of repeated, out-of-sequence, new, invalid and forgotten people."""
     rng = np.random.default_rng(1)

@@ -59,6 +59,7 @@ def check(found: gt.Track, track: gt.Track, direction: float, quantum: float, co
 PATHS = [walk, stand_and_walk, out_and_back]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "quantum", "path"),
     others_slow(
@@ -77,6 +78,7 @@ def test_online_states_follow_an_exact_walk_in_any_direction(model, quantum, pat
         check(gt.track_online(track, model), track, ends, quantum, model in BODY_FOLLOWS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["isam2", "fixed-lag"])
 @pytest.mark.parametrize("model", others_slow(MODELS, ["joint"]))
 def test_online_engines_of_gtsam_leave_saddles(model, engine):

@@ -299,6 +299,7 @@ def test_rows_whose_inputs_contradict_each_other_are_both_used(engine) -> None:
     np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_merged_observations_survive_a_state(engine) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 1.0}
@@ -420,6 +421,7 @@ def track_of(rows: list[Observation], sensor: Any = None) -> Track:
 OPTIONS: list[dict[str, str]] = [{}, {"constants": "default"}, {"model": "position"}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
 def test_two_sensors_at_one_time_smooth_as_one(engine, options) -> None:
@@ -438,6 +440,7 @@ def test_two_sensors_at_one_time_smooth_as_one(engine, options) -> None:
 WITH = [(engine, options) for options in OPTIONS for engine in ENGINES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "options"),
     others_slow(
@@ -473,6 +476,7 @@ def test_a_sensor_counts_once_at_a_time(engine) -> None:
     assert smoother.update(Observation(t=0.4, head=0.1, sensor="a")).status == "late"
 
 
+@pytest.mark.slow
 def test_a_smoother_saved_between_two_sensors_goes_on_to_the_same_bits() -> None:
     whole = gt.OnlineSmoother()
     stopped = gt.OnlineSmoother()

@@ -146,6 +146,7 @@ def test_rows_that_are_late_or_wrong_end_no_frame() -> None:
     assert found[:20] + found[22:] == expected
 
 
+@pytest.mark.slow
 def test_people_without_identities_are_told_too_and_after_a_stop() -> None:
     made, seen = positions(people=5, steps=60, fps=2.0, seed=8)
     frames = [
@@ -205,6 +206,7 @@ def far_apart() -> gt.TrackSet:
     return gt.TrackSet(tuple(walkers))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("people", "within"), [(side_by_side, 0.02), (far_apart, 1e-9)])
 def test_who_is_in_no_conversation_is_as_without_groups(people, within: float) -> None:
     for solve, tolerance in ((gt.smooth, within), (gt.track_online, 0.02)):
@@ -274,6 +276,7 @@ def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir:
     assert np.mean(off["social"]) < 1.02 * np.mean(off["joint"])
 
 
+@pytest.mark.slow
 def test_groups_are_found_with_learned_constants_too() -> None:
     made, seen = positions()
     plain, social = (errors(gt.smooth(seen, model, constants="learn"), made) for model in ("joint", "social"))

@@ -97,6 +97,7 @@ def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:
     assert machine_code() == before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="each name has a process of its own")
 @pytest.mark.parametrize(
     "names", [("OnlineTracker", "forecast"), pytest.param(WARMED, marks=pytest.mark.slow)], ids=["two", "all"]

@@ -86,6 +86,7 @@ def test_samples_are_paths_about_the_mean():
     assert np.corrcoef(paths[:, 0, 0], paths[:, 1, 0])[0, 1] > 0.9
 
 
+@pytest.mark.slow
 def test_who_goes_straight_is_expected_straight_on_however_noisy_the_positions_are():
     rng = np.random.default_rng(7)
     errors, last_step = [], []
@@ -305,6 +306,7 @@ def test_companions_keep_together():
     assert speed(0.8) < 0.8 * speed(50.0)
 
 
+@pytest.mark.slow
 def test_sums_over_what_is_near_are_those_of_all_weights():
     rng = np.random.default_rng(5)
     here, there = rng.normal(0, 2, (4, 30)).astype(np.float32), rng.normal(0, 2, (4, 200)).astype(np.float32)
@@ -364,6 +366,7 @@ def test_rows_of_two_sensors_at_one_time_are_merged(apart):
     np.testing.assert_allclose(found.to_numpy(), expected.to_numpy(), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_people_who_wait_are_not_on_their_way_where_others_start():
     """Each waits for twenty seconds and goes; on average they would be on their way."""
     forecaster, rng = gt.Forecaster(), np.random.default_rng(0)

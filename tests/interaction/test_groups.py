@@ -205,6 +205,7 @@ def test_unknown_people_and_overlaps_are_told(tmp_path: Path) -> None:
         assert (read_groups(path).labels(*rows) == 0).all()
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_reads_and_learns(tmp_path: Path) -> None:
     gt.write(party(60), tmp_path / "party.csv")
     run("groups", tmp_path / "party.csv", "-o", tmp_path / "groups.csv")

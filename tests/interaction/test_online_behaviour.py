@@ -113,6 +113,7 @@ def at(t: float, x: float, y: float = 0.0, head: float = 0.0) -> Estimate:
     return Estimate(t, 0, where, still, head, head, 0.01 * np.eye(6), "new")
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_bounded_while_people_come_and_go() -> None:
     groups, looks = gt.OnlineGroups(), gt.OnlineAttention()
     sizes = []

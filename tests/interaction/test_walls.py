@@ -48,6 +48,7 @@ def test_tracks_far_from_walls_are_not_touched():
         np.testing.assert_array_equal(plain.covariance, walled.covariance)
 
 
+@pytest.mark.slow
 def test_tracked_online_fewer_estimates_are_outside():
     truth = corridor_walkers(4, np.random.default_rng(4))
     plain, walled = (
@@ -82,6 +83,7 @@ def test_the_barrier_has_the_derivatives_of_its_cost():
         assert slope == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_forecasts_cross_no_wall():
     truth = corridor_walkers(4, np.random.default_rng(6))  # near a wall some are observed outside
     assert outside(truth) > 0.002
@@ -155,6 +157,7 @@ def track(rows: Rows, *options: object) -> tuple[Done, Rows]:
     return done, [json.loads(line) for line in done.stdout.splitlines()]
 
 
+@pytest.mark.slow
 def test_estimates_of_a_stream_stay_inside(area: Path) -> None:
     rows = corridor_rows(3, 4)
     _, plain = track(rows)

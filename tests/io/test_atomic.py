@@ -215,6 +215,7 @@ def run(folder, *arguments, stdin=""):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_files_are_written_and_line_ends_of_windows_read(tmp_path):
     rows = [f"1,{k},{k / 10},{0.13 * k},0" for k in range(5)]
     (tmp_path / "tracks.csv").write_bytes("\r\n".join(["track_id,frame,t,x,y", *rows, ""]).encode())

@@ -348,6 +348,7 @@ def read_all(part: int, parts: int, every: int, seed: int, singles: int, pairs: 
                         assert "\n" not in str(error) and len(str(error)) < 4000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "parts", "every", "singles", "pairs"),
     [

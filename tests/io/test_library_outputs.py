@@ -44,6 +44,7 @@ def people() -> gt.TrackSet:
     return gt.TrackSet(tuple(tracks), CAMERA)
 
 
+@pytest.mark.slow
 def test_a_frame_has_its_people_with_boxes_on_their_positions(sv: Any) -> None:
     scene = people()
     found = gt.to_supervision(scene, 4)

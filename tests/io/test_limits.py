@@ -127,6 +127,7 @@ def test_a_text_that_a_database_repeats_without_storing_it(tmp_path: Path) -> No
     assert "rows" in over_the_limit(path, fps=10.0)
 
 
+@pytest.mark.slow
 def test_archives_of_models(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as file:
@@ -221,6 +222,7 @@ def test_chunks_that_unpack_to_any_size(tmp_path: Path, indexed: bool) -> None:
         list(bag.messages(["/people"]))
 
 
+@pytest.mark.slow
 def test_chunks_that_declare_another_size(tmp_path: Path) -> None:
     path = mcap(tmp_path / "a.mcap", 1, 2**28)
     content = path.read_bytes()

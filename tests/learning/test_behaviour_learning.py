@@ -168,6 +168,7 @@ def test_how_far_the_head_leads_is_found():
     assert found.head_share == pytest.approx(0.6, abs=0.11)
 
 
+@pytest.mark.slow
 def test_circles_err_least_where_their_spread_is_that_of_the_people():
     scene = recording(crowd(count=25))
     fitted = learning._fit_spread([learning.outcomes(scene, ForecastParameters())], ForecastParameters())

@@ -126,6 +126,7 @@ def test_what_detections_were_made_with_comes_out(
     assert learned["occlusion_probability"] < 0.02 and learned["duplicate_rate"] < 0.01
 
 
+@pytest.mark.slow
 def test_a_model_has_what_was_learned_and_nothing_else(alone: SceneFit) -> None:
     shown = {one.name: one.value for one in alone.learned if not one.note}
     assert dict(alone.model.scene) == shown and alone.model.preset == "joint"

@@ -310,6 +310,7 @@ def run_with(code: Path, program: Path, **environment: str) -> tuple[int, str, l
     return done.returncode, done.stdout.strip(), done.stderr.splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "ending"),
     others_slow(
@@ -330,6 +331,7 @@ def test_damaged_machine_code_is_replaced_with_one_line(kept_code, tmp_path, end
     assert run_with(code, program) == (0, "5.0 1", []), "loaded, as outer has inner within it"
 
 
+@pytest.mark.slow
 def test_machine_code_that_was_deleted_is_compiled_again(kept_code, tmp_path) -> None:
     code = tmp_path / "code"
     shutil.copytree(kept_code / "code", code)
@@ -351,6 +353,7 @@ runpy.run_path(sys.argv[1], run_name="__main__")
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_of_machine_code_ends_no_run(kept_code, tmp_path) -> None:
     code, other = tmp_path / "code", tmp_path / "other"
     other.mkdir()

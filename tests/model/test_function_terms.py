@@ -81,6 +81,7 @@ def test_derivatives_are_those_of_the_cost(term: FunctionTerm) -> None:
         np.testing.assert_allclose(found[1], slope, atol=2e-6, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", others_slow(TERMS, [TERMS[0], TERMS[3]]), ids=repr)
 def test_the_factors_and_the_density_have_one_cost(term: FunctionTerm) -> None:
     track, model = with_inputs(), gt.Model("joint", terms=[term])
@@ -192,6 +193,7 @@ def skewed(now: Any, low: float) -> Any:
     return gt.Cost([low - speed], loss=lambda c: sympy.log(1 + c), where=speed < low)
 
 
+@pytest.mark.slow
 def test_a_cost_may_have_a_loss_and_a_condition() -> None:
     track = walk(8, seed=3)
     term, states = gt.term(skewed, low=1.5), initial_states(track, gt.Model("joint"))

@@ -174,6 +174,7 @@ def small_tracks() -> gt.TrackSet:
     return gt.TrackSet(tuple(hidden), camera=camera)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", others_slow(sorted(presets), ["joint-intentional", "social"]))
 def test_estimates_are_finite_where_a_parameter_is_as_low_or_as_high_as_it_may_be(preset: str) -> None:
     tracks, own = small_tracks(), Model(preset).parameters

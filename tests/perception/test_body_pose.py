@@ -57,6 +57,7 @@ def test_it_learns_the_direction_of_the_body(fitted: BodyPose) -> None:
     np.testing.assert_allclose(np.exp(found).sum(axis=1), 1.0)
 
 
+@pytest.mark.slow
 def test_as_published_it_is_the_normalised_weight_of_the_classes_of_the_hog_itself(
     learned_from: PedestrianSet,
 ) -> None:

@@ -65,6 +65,7 @@ def test_it_learns(fitted: Fitted, heads: Heads) -> None:
     assert scores.accuracy <= scores.within_one
 
 
+@pytest.mark.slow
 def test_likelihoods_are_normalised(fitted: Fitted, heads: Heads) -> None:
     images = heads[1].images[:5]
     found = fitted[0].log_likelihoods(images)

@@ -92,6 +92,7 @@ def test_a_journal_reads_between_writing(tmp_path: Path) -> None:
         np.testing.assert_array_equal(*looks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_identities", others_slow([False, True], [True]))
 def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, has_identities: bool) -> None:
     """With appearance, from the journal to the table; the difference of two lengths."""

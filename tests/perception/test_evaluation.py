@@ -57,6 +57,7 @@ def test_joint_estimates_are_nearer_to_the_truth_than_single_frames(
     assert found.people == np.count_nonzero(lengths >= LEAST_FRAMES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_online_estimates_alone_do_not_know_what_comes_after(name: str, people: list[ObservedPerson]) -> None:
     person, method = people[0], METHODS[name]

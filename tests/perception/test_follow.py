@@ -227,6 +227,7 @@ def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTr
         assert not any(blob.proposals for blob in blobs)
 
 
+@pytest.mark.slow
 def test_without_a_box_only_some_trackers_begin(folder: Path) -> None:
     for name, message in (("color", "the first frame"), ("mixed-state", "no person in the first 2 seconds")):
         done = run("follow", folder, "--tracker", name, "-o", folder.parent / "boxes.csv")

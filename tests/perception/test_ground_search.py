@@ -170,6 +170,7 @@ def test_the_weaker_of_two_at_one_place_is_dropped() -> None:
     assert strongest(foot, np.full(4, 85.0), np.array([1.0, 2.0, 0.5, 0.4]), (0.4, 0.5), 2).tolist() == [1, 2]
 
 
+@pytest.mark.slow
 def test_moved_cameras_have_no_foreground(street: PastedStreet) -> None:
     """An image that is foreground all over is uninformative."""
     search, image = GroundSearch(street.camera, SIZE), street.frames[0].image

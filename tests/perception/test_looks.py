@@ -82,6 +82,7 @@ def test_projections_keep_distances() -> None:
     np.testing.assert_array_equal(Projection.fixed().basis, Projection.fixed().basis)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fitted", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_rendered_people_are_told_apart_in_boxes_that_are_off(fitted: bool) -> None:
     """The same picture in two boxes of a detector against two people: the area under the ROC curve."""

@@ -89,6 +89,7 @@ def frames(motion: Motion, n: int, seed: int = 0, noise: float = 5.0) -> Iterato
     return (shown(motion(k), rng, noise) for k in range(n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", others_slow([pan, zoom, hand, carried], [hand, carried]))
 def test_the_motion_is_found_within_a_pixel_and_within_its_uncertainty(motion: Motion) -> None:
     misses, ratios = [], []
@@ -382,6 +383,7 @@ def test_exact_poses_declare_no_noise() -> None:
     assert followed_views(CAMERA, {0: Lost("dark")}).views == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "expected"),
     [

@@ -150,6 +150,7 @@ def test_a_run_that_breaks_off_goes_on(
     assert (tmp_path / "out" / "tracks.csv").read_bytes() == (reported[0] / "tracks.csv").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "asks"), [pytest.param("particle", 0, marks=pytest.mark.slow), ("chain", 1)]
 )

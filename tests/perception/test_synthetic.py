@@ -335,6 +335,7 @@ def hidden() -> HeadClip:
     )
 
 
+@pytest.mark.slow
 def test_boxes_enclose_the_pixels_of_the_head(around: HeadClip) -> None:
     away = []
     for image, box in zip(around.images, around.boxes, strict=True):

@@ -106,6 +106,7 @@ def test_the_colour_tracker_remembers_at_its_rate() -> None:
 # -- every tracker -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @of_heads
 def test_a_head_is_followed(name: str, clip: HeadClip) -> None:
     found = followed(MAKE[name](seed=0, particles=120), clip)

@@ -42,6 +42,7 @@ def test_people_stand_on_pages_and_are_found(seen):
     assert seen["foundTally"] == "2 found, 60 of 60 shown"
 
 
+@pytest.mark.slow
 def test_all_none_or_only_some_are_shown(seen):
     assert seen["only"] == "2 found, 2 of 60 shown"
     assert seen["none"] == "2 found, 0 of 60 shown" and seen["empty"].endswith("0 people")

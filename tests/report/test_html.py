@@ -120,6 +120,7 @@ def test_hostile_words_stay_words():
     assert replay_in(page)["people"][0]["label"] == HOSTILE
 
 
+@pytest.mark.slow
 def test_links_lead_somewhere_and_ids_are_distinct(full):
     page = Page(full)
     ids = [a["id"] for _, a in page.elements if "id" in a]

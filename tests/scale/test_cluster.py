@@ -122,6 +122,7 @@ def without_workers(source: Path, output: Path, *options: object) -> Done:
         return run("smooth", *arguments, program="graphtrack")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nobody", "somebody else", "no address"])
 def test_a_cluster_that_does_not_answer_is_one_error(kind, data, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts and never answers

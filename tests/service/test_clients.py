@@ -74,6 +74,7 @@ def test_answers_that_are_never_read_end_after_the_patience_or_with_the_client(s
         assert ended(service, "unread")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_client_that_leaves_in_the_middle_of_its_body_ends_its_stream(service, reset):
     client = begin(service, b"left")
@@ -92,6 +93,7 @@ def test_a_client_that_leaves_in_the_middle_of_its_body_ends_its_stream(service,
     wait_until(lambda: not json.loads(service.request("GET", "/v1/streams")[1])["streams"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("headers", [CHUNKED, b"Content-Length: 1000\r\n\r\n"])
 def test_headers_without_a_body_end_after_the_patience(service, headers):
     with begin(service, b"silent", headers) as client:
@@ -119,6 +121,7 @@ def test_a_client_that_is_slowed_down_may_leave(tmp_path):
         assert ended(slow, "slow")
 
 
+@pytest.mark.slow
 def test_a_request_that_is_never_finished_is_dropped(service):
     with socket.create_connection(("127.0.0.1", service.port)) as client:
         client.sendall(b"GET /health HTTP/1.1\r\nHost: loc")
@@ -188,6 +191,7 @@ def keeping(tmp_path_factory):
         yield running, folder
 
 
+@pytest.mark.slow
 def test_clients_do_not_learn_where_states_are_kept(keeping):
     service, folder = keeping
     service.request("POST", "/v1/streams/hall", "\n".join(rows(3)))

@@ -82,6 +82,7 @@ def test_no_row_is_used_twice_or_lost_while_the_service_is_killed_ten_times(tmp_
     assert [answers[-1]["end"] for _, answers in both] == [t for t, _ in frames]
 
 
+@pytest.mark.slow
 def test_errors_and_unconfirmed_frames_are_answered_in_step(tmp_path):
     sent = [json.loads(line) for line in rows(3, people=1)]
     sent[1]["x"] = "here"
@@ -101,6 +102,7 @@ def test_errors_and_unconfirmed_frames_are_answered_in_step(tmp_path):
         assert "error" in wrong[0] and wrong[-1]["detections"] == 0
 
 
+@pytest.mark.slow
 def test_what_cannot_go_on_is_one_error(tmp_path):
     sent = [json.loads(line) for line in rows(4, people=1)]
     with serving() as service:  # without states

@@ -70,6 +70,7 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         assert connection.recv(timeout=60) == whole[0]
 
 
+@pytest.mark.slow
 def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
     arguments = service.process.args
     folder = arguments[arguments.index("--state") + 1]
@@ -91,6 +92,7 @@ def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
             assert connection.recv(timeout=60) == first
 
 
+@pytest.mark.slow
 def test_one_connection_a_stream_and_so_many_streams(service):
     with service.connect("one") as connection:
         connection.send(rows(1)[0])

@@ -57,6 +57,7 @@ async def answered(one: stream.Stream) -> str:
     raise AssertionError("the process has ended")
 
 
+@pytest.mark.slow
 def test_a_process_that_is_stuck_is_killed_while_its_client_waits(streams: Callable[[], Streams]) -> None:
     async def work() -> None:
         async with streams().opened("stuck") as one:

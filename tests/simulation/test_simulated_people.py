@@ -29,6 +29,7 @@ def misaligned(preset: str, fps: float) -> float:
     return float(np.degrees(np.sqrt(np.mean(off**2))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", others_slow(COUPLED, ["joint"]))
 def test_bodies_face_the_motion_alike_at_every_rate(preset: str) -> None:
     # From 10 Hz on a frame is short against the correlation time, and the rate no longer matters.

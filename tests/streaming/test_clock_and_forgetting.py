@@ -28,6 +28,7 @@ kinds = pytest.mark.parametrize("identified", [True, False], ids=["identities", 
 far = st.floats(60.001, 1e10) | st.sampled_from([1e10, 3600.0, 86_400.0])
 
 
+@pytest.mark.slow
 @kinds
 @settings(max_examples=4)
 @given(
@@ -137,6 +138,7 @@ def coming_and_going(seed: int, frames: int, *, streams: bool, step: float = 0.5
     return rows
 
 
+@pytest.mark.slow
 @kinds
 @pytest.mark.parametrize("seed", others_slow(range(4), [0]))
 def test_forgetting_is_the_same_in_a_resumed_stream(identified: bool, seed: int, tmp_path: Path) -> None:
@@ -164,6 +166,7 @@ def test_a_person_who_returns_after_being_forgotten_is_new() -> None:
 OPTIONS: dict[str, dict[str, Any]] = {"plain": {}, "everything": {"asked": ALL, "horizon": (0.8, 0.4)}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "option"),
     others_slow(
@@ -194,6 +197,7 @@ def test_what_is_kept_is_bounded_while_people_streams_and_time_go_on(
         assert people.count < 60
 
 
+@pytest.mark.slow
 def test_the_greatest_track_id_outlives_a_forgotten_stream() -> None:
     people = stream(False, bounds=StreamBounds(forget_after=5.0))
     rows = [{**row, "stream": "a"} for row in walkers(20, False)]
@@ -207,6 +211,7 @@ def test_the_greatest_track_id_outlives_a_forgotten_stream() -> None:
     assert early and late and early.isdisjoint(late)
 
 
+@pytest.mark.slow
 def test_streams_with_clocks_of_their_own_are_forgotten_by_what_elapses() -> None:
     """A clip after the other, each from 0 on, and one stream that goes on all the time at another time."""
     people = stream(False, bounds=StreamBounds(forget_after=5.0))
@@ -258,6 +263,7 @@ def test_options_of_streams_are_refused_with_a_file(cwd: Path) -> None:
         assert done.returncode == 2 and f"{option} with a file" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_command_says_that_a_stream_begins_again(cwd: Path) -> None:
     rows = [*walkers(5, True, start=200.0), *walkers(5, True)]
     done = run("track", "-", "--model", "position", program="graphtrack", rows=rows)
@@ -265,6 +271,7 @@ def test_the_command_says_that_a_stream_begins_again(cwd: Path) -> None:
     assert "note: time jumped from 200.4 s to 0 s: the stream begins again" in done.stderr
 
 
+@pytest.mark.slow
 @kinds
 def test_answers_to_unconfirmed_rows_are_no_rows_of_a_table(identified: bool, cwd: Path) -> None:
     usual = walkers(10, identified)

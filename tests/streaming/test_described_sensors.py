@@ -101,6 +101,7 @@ def test_a_stream_of_detections_has_the_people_of_the_corrected_file(by):
     assert ends == sorted(ends) and len(ends) == 18
 
 
+@pytest.mark.slow
 def test_the_command_corrects_a_stream_and_keeps_the_descriptions_in_the_state(tmp_path):
     SCENE.save(tmp_path / "scene.toml")
     options = ("track", "-", "--sensors", tmp_path / "scene.toml", "--state", tmp_path / "people.state")
@@ -129,6 +130,7 @@ def test_a_stream_goes_on_with_rows_that_wait():
     assert found == expected
 
 
+@pytest.mark.slow
 def test_a_jump_of_time_and_a_gross_error_of_it_leave_the_order():
     rows = rows_of()
     wrong = {**rows[30], "t": 5000.0}
@@ -173,6 +175,7 @@ def test_errors_of_a_moving_sensor_are_removed_before_its_pose():
     np.testing.assert_allclose([found["t"], found["x"], found["y"]], [track.t[0], *track.position[0]])
 
 
+@pytest.mark.slow
 def test_an_online_tracker_corrects_the_observations_of_described_sensors():
     rows = rows_of(by="true")
     tracker, plain = gt.OnlineTracker("joint-body", sensors=SCENE), gt.OnlineTracker("joint-body")
@@ -202,6 +205,7 @@ def test_an_online_tracker_corrects_the_observations_of_described_sensors():
         gt.OnlineTracker.from_state(tracker.state(), "joint-body")
 
 
+@pytest.mark.slow
 def test_described_views_and_rates_are_those_of_online_association():
     view = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
     known = gt.Sensor(field_of_view=view, detection_probability=0.6, false_density=1e-3)

@@ -96,6 +96,7 @@ def test_uncertain_poses_make_estimates_uncertain_and_undeclared_noise_is_the_mo
     assert found[3]["x_std"] == pytest.approx(math.hypot(0.1, 0.2, math.radians(5.0) * arm), rel=1e-3)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(data=st.data())
 def test_poses_and_rows_out_of_order_are_each_answered_once(data):
@@ -122,6 +123,7 @@ def copied(answering):
     return again
 
 
+@pytest.mark.slow
 def test_a_resumed_stream_goes_on_with_its_poses_and_waiting_rows():
     rows = stream()[:40]
     whole = answered(people(), rows)
@@ -144,6 +146,7 @@ def test_without_poses_rows_wait_for_the_lag_and_are_then_errors():
     assert last[0]["status"] == "new" and "error" in last[1]
 
 
+@pytest.mark.slow
 def test_frames_of_detections_wait_in_order():
     def detections():
         return Scenes(

@@ -130,6 +130,7 @@ def parts(given: list[Any], *, within_a_frame: bool = False) -> tuple[list[Any],
 both_kinds = pytest.mark.parametrize("identified", [True, False], ids=["identities", "detections"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "identified"),
     others_slow([(name, kind) for name in (*CASES, *OTHER_ENGINES) for kind in (True, False)], EVERY_TIME),
@@ -146,6 +147,7 @@ def test_the_command(name: str, identified: bool, cwd: Path) -> None:
     assert found == whole and len(whole.splitlines()) > 80
 
 
+@pytest.mark.slow
 @both_kinds
 @pytest.mark.parametrize("name", others_slow(CASES, ["everything"]))
 def test_the_service(name: str, identified: bool, cwd: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,6 +220,7 @@ def test_a_tracker(name: str, cwd: Path) -> None:
     assert_tracker_continues(case.keywords(), frames, case.forecast)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [

@@ -82,6 +82,7 @@ def test_nan_is_not_observed_and_infinity_is_an_error() -> None:
     assert "a finite number" in answer["error"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zone", ["Z", "+02:00", ""])
 def test_dates_come_back_as_they_were_written(zone: str, cwd: Path) -> None:
     rows = walkers(6, True)
@@ -100,6 +101,7 @@ def test_dates_come_back_as_they_were_written(zone: str, cwd: Path) -> None:
 kinds = pytest.mark.parametrize("identified", [True, False], ids=["identities", "detections"])
 
 
+@pytest.mark.slow
 @kinds
 @pytest.mark.parametrize("back", [1.5, 9.0, 30.0])
 def test_a_clock_that_is_set_back_by_more_than_the_lag_begins_again(identified: bool, back: float) -> None:

@@ -66,6 +66,7 @@ def test_scans_of_one_time_are_those_of_a_tracker_in_the_order_of_names():
     assert {row["track_id"] for row in people if row["t"] > 0.5} == {1, 2, 3}
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(st.data())
 def test_rows_of_one_time_may_alternate(data):
@@ -132,6 +133,7 @@ def test_revisions_name_the_sensor_of_their_detection():
         assert one["sensor"] == end["sensor"] and one["t"] == pytest.approx(end["end"], abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [3, 4, 7, 18, 30])
 def test_a_resumed_stream_goes_on_with_its_open_scans(stop):
     rows = [row for block in stream_of(10) for row in block]

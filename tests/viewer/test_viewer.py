@@ -267,6 +267,7 @@ def shown(path: Path, person: int, what: str = "Points2D:positions") -> dict[int
     return read_recording(path)[f"/ground/people/{person}"].get(what, {})
 
 
+@pytest.mark.slow
 def test_every_answer_is_shown_and_what_is_none_is_passed_over(tmp_path: Path) -> None:
     lines = [json.dumps(answer(row["track_id"], row["frame"], row["x"])) for row in rows(40)]
     given = "".join(f"{line}\n" for line in [*lines, "no JSON", "[1]"])
