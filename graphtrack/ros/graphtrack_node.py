@@ -17,6 +17,7 @@ from graphtrack.errors import GraphtrackError
 from graphtrack.io.formats.ros.bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
 from graphtrack.io.formats.ros.writing import TOPICS, gaze_message, group_message, header_of, message_for
 from graphtrack.ros.live import Live, SceneEstimate
+from graphtrack.streaming.reordering import MAX_DELAY
 
 try:
     import rclpy
@@ -37,6 +38,7 @@ _PARAMETERS = {
     "fixed_frame": "",
     "model": "joint",
     "lag": 2.0,
+    "max_delay": MAX_DELAY,
     "behaviour": False,
 }
 _BEHAVIOUR = {GROUP: "/humans/interactions/groups", GAZE: "/humans/interactions/gazing"}
@@ -85,6 +87,7 @@ class GraphtrackNode(Node):
             given["model"],
             lag=given["lag"],
             fixed_frame=given["fixed_frame"],
+            max_delay=given["max_delay"],
             behaviour=given["behaviour"],
             warn=self.get_logger().warning,
         )

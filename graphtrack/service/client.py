@@ -120,6 +120,9 @@ class StreamClient:
     ) -> Iterator[list[dict[str, Any]]]:
         """Send frames of detections, and yield the answers to each: its people, and the end of the frame.
 
+        A frame that waits for earlier ones of a slower sensor (its end is ``held``) is answered with a later
+        frame, or by `end`.
+
         Parameters
         ----------
         frames : time (seconds) and detections of each, none where nobody was detected; rows need no ``t``
@@ -132,7 +135,7 @@ class StreamClient:
         """
         for t, detections in frames:
             rows = [{**row, "t": t, **of_each} for row in detections] + [{"end": t, **of_each}]
-            is_complete = partial(_has_ended, t, len(rows), self._rows + len(rows))
+            is_complete = partial(_has_ended, rows[-1], len(rows), self._rows + len(rows))
             yield self._exchanged(rows, is_complete)
 
     def end(self) -> list[dict[str, Any]]:
@@ -215,19 +218,23 @@ def _is_answered(last: int, found: Sequence[Row]) -> bool:
     return "status" in found[-1] or found[-1].get("line") == last
 
 
-def _has_ended(t: float, rows: int, last: int, found: Sequence[Row]) -> bool:
+def _has_ended(end: Row, rows: int, last: int, found: Sequence[Row]) -> bool:
     """Return whether the answers to a frame of detections are complete.
 
     Parameters
     ----------
-    t : seconds, of the frame
+    end : of the frame
     rows, last : their number, with the end, and the line of the end
     found : answers so far
     """
     if found[-1].get("line") == last:  # an error of the end
         return True
-    of_frame = [one for one in found if abs(one.get("end", -t - 1.0) - t) <= TIME_TOLERANCE]
+    t, names = end["end"], {key: end[key] for key in ("stream", "sensor") if end.get(key) not in (None, "")}
+    of_frame = [
+        one
+        for one in found
+        if abs(one.get("end", -t - 1.0) - t) <= TIME_TOLERANCE and names.items() <= one.items()
+    ]
     unconfirmed = sum(one.get("status") == "unconfirmed" for one in of_frame)
-    return (
-        any("people" in one for one in of_frame) or unconfirmed + sum("error" in one for one in found) == rows
-    )
+    has_answer = any("people" in one or one.get("status") == "held" for one in of_frame)
+    return has_answer or unconfirmed + sum("error" in one for one in found) == rows
