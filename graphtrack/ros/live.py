@@ -27,7 +27,13 @@ from graphtrack.io.formats.ros.bag import (
     sensor_name,
     sightings_of,
 )
-from graphtrack.io.formats.ros.reading import GroundFrame, Humans, Transforms
+from graphtrack.io.formats.ros.reading import (
+    GroundFrame,
+    Humans,
+    Transforms,
+    may_move,
+    of_moving_frame,
+)
 from graphtrack.io.formats.ros.writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
@@ -60,6 +66,7 @@ _AGAIN = "messages of a sensor with a stamp that it had"
 _SENSORS = "messages of one sensor too many"
 _NAMELESS = "people without a name among people with names"
 _HELD = "messages held when the clock was set back"
+_OLD = "messages of the time before the clock was set back"
 _NOWHERE = "people without a position, or at a time without tf"
 
 _CHANNELS = {
@@ -194,11 +201,13 @@ class Live:
         self._behaves = behaviour
         self._warn = warn
         self.dropped = Counter[str]()
-        self._origin = 0
+        self._origin, self._has_warned = 0, bool(fixed_frame)
         self._begin()
 
-    def _begin(self) -> None:
+    def _begin(self, before: int | None = None) -> None:
+        """Begin without people; ``before``: newest stamp before the clock was set back."""
         self._last: int | None = None
+        self._before, self._went_on = before, set[tuple[str, str]]()
         self._tracker: OnlineTracker | None = None
         self._scans = ReorderBuffer[_Scan](self._max_delay, MOST_WAITING)
         self._sensors = _Sensors(self._memory)
@@ -228,6 +237,15 @@ class Live:
     ) -> SceneEstimate | None:
         """Process a message.
 
+        ::
+
+            live = Live("geometry_msgs/msg/PoseArray", fixed_frame="map")
+            for topic, message in messages:  # of rclpy, or of rosbags, in the order of arrival
+                if topic == "/tf":
+                    live.take_transforms(message)
+                elif (found := live.take(message, topic=topic)) is not None:
+                    print(found.stamp, [(one.name, one.x, one.y) for one in found.people])
+
         Parameters
         ----------
         received : time of arrival (ns); the time of a message without a stamp
@@ -247,12 +265,20 @@ class Live:
         frame = frame_of(message, kind)
         if frame.stamp == 0 and received is not None:
             frame = frame._replace(stamp=received)
+        if self._is_of_old_clock(topic, frame):
+            self._drop(_OLD)
+            return None
         if self._last is not None and frame.stamp < self._last - self._longest_back:
             back = (self._last - frame.stamp) / SECOND
             self._warn(f"a clock that was set back by {back:g} s: tracking begins again")
             self._drop(_HELD, len(self._scans))
-            self._begin()
+            self._begin(self._last)
+            self._went_on.add((topic, frame.frame_id))
             self.transforms.forget_after(frame.stamp)
+        if not self._has_warned and frame.frame_id:
+            self._has_warned = True
+            if may_move(frame.frame_id):
+                self._warn(of_moving_frame(frame.frame_id, "fixed_frame map (or odom) transforms them by tf"))
         names, observations = self._observed(frame, self._by_name if kind == IDS else self._ground)
         sensor, reason = self._sensors.of(topic, frame)
         self._last = frame.stamp if self._last is None else max(self._last, frame.stamp)
@@ -265,6 +291,16 @@ class Live:
         if self._tracker is None and not observations:
             return self._estimated(frame.stamp, frame.frame_id, {})
         return self._take_nameless(frame, sensor, observations)
+
+    def _is_of_old_clock(self, topic: str, frame: PeopleMessage) -> bool:
+        """Return True for a message from before the clock was set back, of a slower sensor."""
+        if self._before is None or self._last is None or (topic, frame.frame_id) in self._went_on:
+            return False
+        if self._last + self._longest_back < frame.stamp <= self._before + self._longest_back:
+            return True
+        if len(self._went_on) < MOST_SENSORS:
+            self._went_on.add((topic, frame.frame_id))
+        return False
 
     def _observed(self, frame: PeopleMessage, ground: GroundFrame) -> tuple[list[str], list[Observation]]:
         """Return names and observations of the people with a position on the ground."""
