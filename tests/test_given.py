@@ -1,5 +1,6 @@
 """Arguments of the public functions: each form works, or one error names the expected value."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,6 +171,8 @@ SEEN = {
     "head_kappa": [-1.0, 1e10],
     "head_likelihood": [(1.0,) * 8, (-1.0,) * 12, (1e13,) * 12],
     "t": [1e12, np.nan, None, "now"],
+    "frame": ["a", 1.5, True, None],
+    "inputs": [5, "a"],
 }
 
 
@@ -184,6 +187,23 @@ def test_an_observation_that_no_engine_could_use_names_its_channel_and_changes_n
                 assert said.startswith(f"found {name} = ") and "number" in said
         found, expected = (one.update(gt.Observation(**good)) for one in (smoother, plain))
         np.testing.assert_array_equal(found.covariance, expected.covariance)
+
+
+def test_a_detection_that_no_tracker_could_use_names_its_channel_and_changes_nothing() -> None:
+    tracker = gt.OnlineTracker("position")
+    good = {"t": 0.1, "position": (0.1, 0.0), "head": 0.2}
+    tracker.update(0.0, [(0.0, 0.0)])
+    before = json.dumps(tracker.state())
+    for name, values in SEEN.items():
+        for value in values:
+            said = refused(tracker.update, 0.1, [gt.Observation(**good | {name: value})])
+            assert said.startswith(f"found {name} = ") and "number" in said
+    for wrong in ("x", None, [0.1]):
+        assert refused(tracker.update, wrong, []).startswith("found t = ")
+    for sensor in (5, "a\nb"):
+        assert refused(tracker.update, 0.1, [(0.0, 0.0)], sensor).startswith("found sensor = ")
+    assert json.dumps(tracker.state()) == before
+    tracker.update(0.1, [gt.Observation(**good, frame=np.int64(3))])
 
 
 def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:

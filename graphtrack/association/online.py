@@ -479,7 +479,11 @@ class OnlineAssociation(Moves, Saved):
         if not t > own + TIME_TOLERANCE:
             raise InputError(f"t = {t:.15g}", f"a time in seconds after {own:.15g}")
         if t < last - TIME_TOLERANCE:
-            raise InputError(f"t = {t:.15g}", f"a time in seconds from {last:.15g} on, as of other sensors")
+            expected = (
+                f"a time in seconds from {last:.15g} on, as of other sensors: scans in the order of time, as "
+                "graphtrack.streaming.reordering.ReorderBuffer puts them"
+            )
+            raise InputError(f"t = {t:.15g}", expected)
 
     # -- one step ------------------------------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ from graphtrack.tracks.sensors import NO_SENSORS, Sensors
 from graphtrack.tracks.table import Rows
 from graphtrack.tracks.time import distinct_times
 from graphtrack.tracks.track import Track, TrackSet
-from graphtrack.tracks.validation import APPEARANCE, INPUT
+from graphtrack.tracks.validation import APPEARANCE, INPUT, SENSOR_NAME, is_sensor_name
 
 
 def facing_of(observations: Sequence[Observation]) -> FloatArray:
@@ -238,6 +238,8 @@ class DetectionTracker(Saved):
             raise InputError(f"detections = {given!r}", "observations, or positions (n, 2) in metres")
         given = list(given)
         sensor = _sensor_of(given) if sensor is None else sensor
+        if sensor and not is_sensor_name(sensor):
+            raise InputError(f"sensor = {sensor!r}"[:100], SENSOR_NAME)
         described = self._sensors.get(sensor) if self.corrects else None
         if described is None or described.moves:
             self.check_time(t, sensor)
@@ -439,7 +441,8 @@ class DetectionTracker(Saved):
                 expected = "x and y in metres, or an Observation with what else is known"
                 raise InputError(found, expected) from None
             detection = Observation(t=t, position=(x, y))
-        elif detection.t != t:
+        detection = checked(detection)
+        if detection.t != t:
             if not abs(detection.t - t) < SAME_TIME:
                 found = f"a detection of t = {detection.t:.12g} in the update of t = {t:.12g}"
                 raise InputError(found, "detections of that time, each time in an update of its own")

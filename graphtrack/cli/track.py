@@ -43,6 +43,7 @@ def track(
     state: Annotated[Path | None, typer.Option(dir_okay=False)] = None,
     save_every: Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=86400.0)] = 10.0,
     forget_after: Annotated[float | None, typer.Option(metavar="SECONDS", min=1.0)] = None,
+    max_delay: Annotated[float | None, typer.Option(metavar="SECONDS", min=0.0, max=60.0)] = None,
     max_people: Annotated[int | None, typer.Option(min=1)] = None,
     forecast: options.Seconds | None = None,
     groups: bool = False,
@@ -71,6 +72,8 @@ def track(
         process loses nothing.
     forget_after : Seconds of the stream without a row until a person, or one of several streams of
         detections, is forgotten; by default 60.
+    max_delay : Seconds for which detections wait at most for those of a slower sensor, once some came out of
+        sequence; by default 0.25.
     max_people : Most people with identities at one time; by default 10000.
     forecast : Predict positions every 0.4 s up to this many seconds ahead.
     groups : Report conversation groups and people walking together.
@@ -106,6 +109,7 @@ def track(
             raise InputError(f"{names} with -", "these options with a file only")
         from graphtrack.geometry.walkable import WalkableArea
         from graphtrack.streaming.answers import StreamBounds
+        from graphtrack.streaming.reordering import MAX_DELAY
         from graphtrack.streaming.session import Answers
 
         answers = Answers(
@@ -122,6 +126,7 @@ def track(
             known_constants(constants),
             reading.options().sensor_scene,
             reading.options().angle_convention,
+            MAX_DELAY if max_delay is None else max_delay,
         )
         _track_stream(answers, reading, state, save_every)
         return
@@ -136,7 +141,11 @@ def track(
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be resumed")
-    bounds_of_streams = {"--forget-after": forget_after, "--max-people": max_people}
+    bounds_of_streams = {
+        "--forget-after": forget_after,
+        "--max-delay": max_delay,
+        "--max-people": max_people,
+    }
     options.refuse(bounds_of_streams, "with a file", "- as the input: these options are for streams")
     rows, are_detections = reading.rows(place_of(input))
     if are_detections:
@@ -334,6 +343,7 @@ def serve(
     max_rate: Annotated[float, typer.Option(min=1.0)] = 5000.0,
     max_line: Annotated[int, typer.Option(min=256, max=1048576)] = 1 << 16,
     forget_after: Annotated[float, typer.Option(metavar="SECONDS", min=1.0)] = 60.0,
+    max_delay: Annotated[float, typer.Option(metavar="SECONDS", min=0.0, max=60.0)] = 0.25,
     patience: Annotated[float, typer.Option(metavar="SECONDS", min=1.0, max=86400.0)] = 30.0,
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics.
@@ -369,6 +379,8 @@ def serve(
     max_line : Most bytes of a message.
     forget_after : Seconds of a stream without a row until a person, or one of several streams of detections,
         is forgotten.
+    max_delay : Seconds for which detections wait at most for those of a slower sensor, once some came out of
+        sequence.
     patience : Seconds that answers may stay unread, pings unanswered, or rows without an answer of the
         stream's process (at least 10), which is killed then.
     """
@@ -403,6 +415,7 @@ def serve(
         walkable=None if walkable is None else WalkableArea.of(walkable),
         sensors=None if sensors is None else SensorScene.load(sensors),
         angles=None if angles is None else AngleConvention.of(angles),
+        max_delay=max_delay,
     )
     limits = Limits(max_streams, max_rate, max_line, patience)
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)

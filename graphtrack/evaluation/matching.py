@@ -207,13 +207,7 @@ def renumbered(estimates: TrackSet, truth: TrackSet, offset: int) -> TrackSet:
 
 def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArray:
     """Return the times of all frames (f,) from first to last, given those of rows (n,)."""
-    t = np.sort(t)
-    # Rows less than half a step after the first of a frame are of that frame.
-    begin = [0]
-    for k in range(1, len(t)):
-        if t[k] - t[begin[-1]] > 0.5 * step:
-            begin.append(k)
-    known = np.add.reduceat(t, begin) / np.diff([*begin, len(t)])
+    known = mean_times(t, 0.5 * step)
     before = np.arange(known[0] - step, first - 0.5 * step, -step)[::-1]
     after = np.arange(known[-1] + step, last + 0.5 * step, step)
     between = [
@@ -222,6 +216,20 @@ def _instants(t: FloatArray, step: float, first: float, last: float) -> FloatArr
         if b - a > 1.5 * step
     ]
     return np.sort(np.concatenate([before, known, *between, after]))
+
+
+def mean_times(t: FloatArray, longest: float) -> FloatArray:
+    """Return the mean time (f,) of each frame, given those of rows (n,).
+
+    Rows at most ``longest`` seconds after the first of a frame are of that frame.
+    """
+    if not len(t):
+        return t
+    t = np.sort(t)
+    begin = [0]
+    while (after := int(np.searchsorted(t, t[begin[-1]] + longest, side="right"))) < len(t):
+        begin.append(after)
+    return np.asarray(np.add.reduceat(t, begin) / np.diff([*begin, len(t)]))
 
 
 def _at_instants(track: Track, instants: FloatArray, tolerance: float) -> Track | None:

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from graphtrack.association.associate import tracks_of
 from graphtrack.evaluation.identities import hota_matches, identity_pairs, similarity_of, threshold_of
-from graphtrack.evaluation.matching import IdentifiedRows, nearest_times, renumbered, share_frames
+from graphtrack.evaluation.matching import (
+    IdentifiedRows,
+    mean_times,
+    nearest_times,
+    renumbered,
+    share_frames,
+)
 from graphtrack.evaluation.metrics import (
     DEGREES,
     TrackCalibration,
@@ -199,9 +205,10 @@ def _matched_rows(estimates: TrackSet, truth: list[Track], threshold: Threshold)
     rows : (k, 4) track, its row, person, its row; sorted by track and person
     shared : True if no track is paired, over the whole sequence, with a person of another ``track_id``
     """
-    times = np.unique(np.concatenate([np.empty(0), *(track.t for track in truth)]))
     steps = np.concatenate([np.empty(0), *(np.diff(track.t) for track in truth)])
     tolerance = SAME_TIME * _step(steps)
+    # Stamps of a frame may differ from person to person.
+    times = mean_times(np.unique(np.concatenate([np.empty(0), *(track.t for track in truth)])), tolerance)
     true, true_row = _at_instants(truth, "true_position", times, tolerance)
     found, row = _at_instants(list(estimates), "position", times, tolerance)
     if not np.isin(found.frame, true.frame).any():

@@ -57,6 +57,8 @@ def checked(observation: Observation) -> Observation:
     if not isinstance(observation, Observation):
         found = "None" if observation is None else f"a {type(observation).__name__}"
         raise InputError(found, "an Observation; its channels are None where nothing was observed")
+    if type(observation.frame) is not int:
+        observation = replace(observation, frame=_whole(observation.frame))
     if observation.inputs:
         observation = replace(observation, inputs=_checked_inputs(observation.inputs))
     if observation.sensor and not is_sensor_name(observation.sensor):
@@ -70,6 +72,8 @@ def checked(observation: Observation) -> Observation:
 
 def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float, ...]]:
     found: dict[str, float | tuple[float, ...]] = {}
+    if not isinstance(inputs, Mapping):
+        raise InputError(f"inputs = {_shown(inputs)}", "a mapping of names to a number or several")
     for name, value in inputs.items():
         if not isinstance(name, str) or not is_input_name(name):
             raise InputError(f"an input {name!r}", INPUT_NAME)
@@ -79,6 +83,13 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float,
             raise InputError(f"input {name} = {_shown(value)}", expected)
         found[name] = tuple(numbers.tolist()) if numbers.ndim else float(numbers)
     return found
+
+
+def _whole(frame: object) -> int:
+    """Return the number of a frame, also NumPy's; InputError for other values."""
+    if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
+        raise InputError(f"frame = {_shown(frame)}", "a whole number")
+    return int(frame)
 
 
 def _checked_covariance(name: str, value: object) -> Covariance:

@@ -10,6 +10,7 @@ Only this module needs ROS itself (rclpy) and the message packages.
 
 from __future__ import annotations
 
+import sys
 from functools import cache, partial
 from typing import Any
 
@@ -17,6 +18,26 @@ from graphtrack.errors import GraphtrackError
 from graphtrack.io.formats.ros.bag import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
 from graphtrack.io.formats.ros.writing import TOPICS, gaze_message, group_message, header_of, message_for
 from graphtrack.ros.live import Live, SceneEstimate
+from graphtrack.streaming.reordering import MAX_DELAY
+
+_PARAMETERS = {
+    "topic": "/people",
+    "type": PEOPLE,
+    "reliability": "best_effort",
+    "fixed_frame": "",
+    "model": "joint",
+    "lag": 2.0,
+    "max_delay": MAX_DELAY,
+    "behaviour": False,
+}
+
+if __name__ == "__main__" and {"-h", "--help"} & set(sys.argv[1:]):  # also without ROS
+    _values = {name: str(one).lower() if isinstance(one, bool) else one for name, one in _PARAMETERS.items()}
+    print(
+        __doc__, "Parameters (-p NAME:=VALUE), with their defaults; docs/robots.md explains them:", sep="\n"
+    )
+    print("\n".join(f"    {name}:={one}" for name, one in _values.items()))
+    raise SystemExit
 
 try:
     import rclpy
@@ -30,15 +51,6 @@ except ModuleNotFoundError as error:
     raise SystemExit(f"error: found no package {error.name}, expected {expected}") from error
 
 _DEPTH = 10
-_PARAMETERS = {
-    "topic": "/people",
-    "type": PEOPLE,
-    "reliability": "best_effort",
-    "fixed_frame": "",
-    "model": "joint",
-    "lag": 2.0,
-    "behaviour": False,
-}
 _BEHAVIOUR = {GROUP: "/humans/interactions/groups", GAZE: "/humans/interactions/gazing"}
 """Type → topic, by REP 155."""
 
@@ -85,6 +97,7 @@ class GraphtrackNode(Node):
             given["model"],
             lag=given["lag"],
             fixed_frame=given["fixed_frame"],
+            max_delay=given["max_delay"],
             behaviour=given["behaviour"],
             warn=self.get_logger().warning,
         )

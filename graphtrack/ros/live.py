@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from bisect import insort
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +27,19 @@ from graphtrack.io.formats.ros.bag import (
     sensor_name,
     sightings_of,
 )
-from graphtrack.io.formats.ros.reading import GroundFrame, Humans, Transforms
+from graphtrack.io.formats.ros.reading import (
+    GroundFrame,
+    Humans,
+    Transforms,
+    may_move,
+    of_moving_frame,
+)
 from graphtrack.io.formats.ros.writing import PersonMessage
 from graphtrack.model import Model, Observation
 from graphtrack.model.observation import observation_at
+from graphtrack.streaming.moving import MOST_WAITING
+from graphtrack.streaming.reordering import MAX_DELAY, ReorderBuffer
 from graphtrack.tracking import OnlineTracker
-from graphtrack.tracks.time import TIME_TOLERANCE
 
 _GONE = 5.0  # seconds without observation after which a named person is dropped
 
@@ -45,13 +51,6 @@ _JUMP = SECOND
 """Largest step back of stamps for messages out of sequence, unless the lag is longer; a larger step starts a
 new recording."""
 
-_LONGEST_HELD = SECOND // 4
-"""Longest time for which detections without names wait for earlier ones, in nanoseconds."""
-
-_UNUSED = 100  # messages without need after which detections wait no longer
-
-_TOLERANCE = round(TIME_TOLERANCE * SECOND)  # nanoseconds between stamps of one time
-
 _PUBLISHERS = 8
 """Most publishers that send messages of one stamp on a topic."""
 
@@ -61,12 +60,13 @@ MOST_SENSORS = 64
 _GAZE_FROM = 0.5  # smallest probability of a reported gaze target
 
 _BEYOND_LAG = "out of sequence by more than the lag"
-_NOT_HELD = "detections without names that are out of sequence: later ones are held for a while"
+_NOT_HELD = "detections without names that are out of sequence: later ones wait for a while (max_delay)"
 _REPEATED = "people observed twice at one time by one sensor"
 _AGAIN = "messages of a sensor with a stamp that it had"
 _SENSORS = "messages of one sensor too many"
 _NAMELESS = "people without a name among people with names"
 _HELD = "messages held when the clock was set back"
+_OLD = "messages of the time before the clock was set back"
 _NOWHERE = "people without a position, or at a time without tf"
 
 _CHANNELS = {
@@ -107,48 +107,13 @@ class SceneEstimate:
     gazes: list[tuple[str, str]]
 
 
-@dataclass(order=True)
-class _Held:
+@dataclass(frozen=True)
+class _Scan:
     """Detections of a message."""
 
     stamp: int
     sensor: str
-    observations: list[Observation] = field(compare=False)
-
-
-class _Scans:
-    """Detections without names, sorted for a tracker that takes scans in order.
-
-    Messages are held only where that was of use before: for as long as others were out of sequence.
-    """
-
-    def __init__(self) -> None:
-        self._held: list[_Held] = []
-        self._newest = self._released = -1
-        self._delay = 0
-        self._in_sequence = 0  # messages in a row
-
-    def __len__(self) -> int:
-        """The messages that are held."""
-        return len(self._held)
-
-    def add(self, stamp: int, sensor: str, observations: list[Observation]) -> bool:
-        """Add a message; return False if its time is over."""
-        self._in_sequence = self._in_sequence + 1 if stamp >= self._newest else 0
-        self._newest = max(self._newest, stamp)
-        if stamp < self._released - _TOLERANCE:
-            self._delay = max(self._delay, min(self._newest - stamp, _LONGEST_HELD))
-            return False
-        if self._in_sequence > _UNUSED:
-            self._delay = 0
-        insort(self._held, _Held(stamp, sensor, observations))
-        return True
-
-    def released(self) -> Iterator[_Held]:
-        """Yield the messages that wait no longer, in order."""
-        while self._held and self._newest - self._held[0].stamp >= self._delay:
-            self._released = max(self._released, self._held[0].stamp)
-            yield self._held.pop(0)
+    observations: list[Observation]
 
 
 class _Sensors:
@@ -195,14 +160,15 @@ class Live:
     Each topic is a sensor, and each frame of reference of its messages; messages of a topic that have one
     stamp and other content are of several sensors too. People with names keep them as identities; messages
     out of sequence are used within the lag. `OnlineTracker` assigns identities to the others, whose messages
-    are scans of their sensors, and are put in order, with a delay of at most 0.25 s where they are out of
-    sequence.
+    are scans of their sensors, and are put in order, with a delay of at most ``max_delay`` where they are
+    out of sequence.
 
     Parameters
     ----------
     kind : the type of the messages, one of `graphtrack.io.formats.ros.bag.OF_PEOPLE`, where `take` has none
     model, lag : as in `OnlineSmoother`
     fixed_frame : frame into which tf transforms all positions; None: that of the messages
+    max_delay : seconds for which detections without names wait at most for earlier ones; see `ReorderBuffer`
     behaviour : True to report groups and gaze
     warn : called with a sentence on messages and people that were dropped, at the first, the tenth, the
         hundredth …; by default the log "graphtrack"
@@ -219,12 +185,13 @@ class Live:
         *,
         lag: float = 2.0,
         fixed_frame: str | None = None,
+        max_delay: float = MAX_DELAY,
         behaviour: bool = False,
         warn: Callable[[str], object] = logging.getLogger("graphtrack").warning,
     ) -> None:
         self._kind, self._model, self._lag = kind, Model.named(model), lag
         self._memory = round(lag * SECOND) if math.isfinite(lag) else _JUMP
-        self._longest_back = max(_JUMP, self._memory)
+        self._longest_back, self._max_delay = max(_JUMP, self._memory), max_delay
         self.transforms = Transforms()
         # People have positions in messages, or by their names in tf.
         self._ground, self._by_name = (
@@ -234,13 +201,16 @@ class Live:
         self._behaves = behaviour
         self._warn = warn
         self.dropped = Counter[str]()
-        self._origin = 0
+        self._origin, self._has_warned = 0, bool(fixed_frame)
         self._begin()
 
-    def _begin(self) -> None:
+    def _begin(self, before: int | None = None) -> None:
+        """Begin without people; ``before``: newest stamp before the clock was set back."""
         self._last: int | None = None
+        self._before, self._went_on = before, set[tuple[str, str]]()
         self._tracker: OnlineTracker | None = None
-        self._scans, self._sensors = _Scans(), _Sensors(self._memory)
+        self._scans = ReorderBuffer[_Scan](self._max_delay, MOST_WAITING)
+        self._sensors = _Sensors(self._memory)
         self._named: dict[str, tuple[int, OnlineSmoother]] = {}
         self._commons = commons_of(None, self._model)
         self._numbers = 0
@@ -267,6 +237,15 @@ class Live:
     ) -> SceneEstimate | None:
         """Process a message.
 
+        ::
+
+            live = Live("geometry_msgs/msg/PoseArray", fixed_frame="map")
+            for topic, message in messages:  # of rclpy, or of rosbags, in the order of arrival
+                if topic == "/tf":
+                    live.take_transforms(message)
+                elif (found := live.take(message, topic=topic)) is not None:
+                    print(found.stamp, [(one.name, one.x, one.y) for one in found.people])
+
         Parameters
         ----------
         received : time of arrival (ns); the time of a message without a stamp
@@ -286,12 +265,20 @@ class Live:
         frame = frame_of(message, kind)
         if frame.stamp == 0 and received is not None:
             frame = frame._replace(stamp=received)
+        if self._is_of_old_clock(topic, frame):
+            self._drop(_OLD)
+            return None
         if self._last is not None and frame.stamp < self._last - self._longest_back:
             back = (self._last - frame.stamp) / SECOND
             self._warn(f"a clock that was set back by {back:g} s: tracking begins again")
             self._drop(_HELD, len(self._scans))
-            self._begin()
+            self._begin(self._last)
+            self._went_on.add((topic, frame.frame_id))
             self.transforms.forget_after(frame.stamp)
+        if not self._has_warned and frame.frame_id:
+            self._has_warned = True
+            if may_move(frame.frame_id):
+                self._warn(of_moving_frame(frame.frame_id, "fixed_frame map (or odom) transforms them by tf"))
         names, observations = self._observed(frame, self._by_name if kind == IDS else self._ground)
         sensor, reason = self._sensors.of(topic, frame)
         self._last = frame.stamp if self._last is None else max(self._last, frame.stamp)
@@ -304,6 +291,16 @@ class Live:
         if self._tracker is None and not observations:
             return self._estimated(frame.stamp, frame.frame_id, {})
         return self._take_nameless(frame, sensor, observations)
+
+    def _is_of_old_clock(self, topic: str, frame: PeopleMessage) -> bool:
+        """Return True for a message from before the clock was set back, of a slower sensor."""
+        if self._before is None or self._last is None or (topic, frame.frame_id) in self._went_on:
+            return False
+        if self._last + self._longest_back < frame.stamp <= self._before + self._longest_back:
+            return True
+        if len(self._went_on) < MOST_SENSORS:
+            self._went_on.add((topic, frame.frame_id))
+        return False
 
     def _observed(self, frame: PeopleMessage, ground: GroundFrame) -> tuple[list[str], list[Observation]]:
         """Return names and observations of the people with a position on the ground."""
@@ -327,13 +324,13 @@ class Live:
         self, frame: PeopleMessage, sensor: str, observations: list[Observation]
     ) -> SceneEstimate | None:
         """Process detections that a tracker associates."""
-        if not self._scans.add(frame.stamp, sensor, observations):
+        scan = _Scan(frame.stamp, sensor, observations)
+        if not self._scans.add(self._seconds(frame.stamp), scan, sensor):
             self._drop(_NOT_HELD)
         if self._tracker is None:
             self._tracker = OnlineTracker(self._model, lag=self._lag)
         found = None
-        for held in self._scans.released():
-            t = self._seconds(held.stamp)
+        for t, held in self._scans.released():
             try:
                 self._tracker.check_time(t, held.sensor)
             except InputError:  # less than the tolerance after a scan of its sensor

@@ -27,8 +27,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from graphtrack import __version__
 from graphtrack.errors import InputError
 from graphtrack.service import description
+from graphtrack.service.client import STREAM_NAME
 from graphtrack.service.connections import Connection, Connections, JsonErrors, Requests, TrustedOrigin
-from graphtrack.service.settings import STREAM_NAME, Metrics, Service
+from graphtrack.service.settings import Metrics, Service
 from graphtrack.service.stream import Stream, open_stream, prepare
 from graphtrack.streaming.saved_state import StateInUse, remove
 

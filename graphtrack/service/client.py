@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from types import TracebackType
 from typing import Any, Self
+from urllib.parse import urlsplit
+
+import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.packages import package
 from graphtrack.tracks.time import TIME_TOLERANCE
 
 Row = Mapping[str, Any]
+
+STREAM_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
+"""Pattern of a stream's name, which becomes the name of a file."""
+
+_EXAMPLE = "ws://127.0.0.1:8765/v1/streams/hall"
+_STREAMS = "/v1/streams/"
 
 _PAUSE, _LONGEST_PAUSE = 0.05, 2.0
 """Seconds before the second attempt to connect, and most seconds between two."""
@@ -32,7 +42,7 @@ class StreamClient:
 
     Parameters
     ----------
-    url : address of the stream, as ``ws://127.0.0.1:8765/v1/streams/hall``
+    url : address of the stream, as ``ws://127.0.0.1:8765/v1/streams/hall``; ``wss://`` behind TLS
     token : of the service, if it has one
     patience : seconds for which an unreachable service is tried again
 
@@ -42,9 +52,15 @@ class StreamClient:
     repeated : answers that it sent again then, to the last of these rows
     notes : messages of the service that answer no row
     reconnections : number of connections after the first
+
+    Raises
+    ------
+    InputError
+        For an address that is not that of a stream.
     """
 
     def __init__(self, url: str, token: str | None = None, patience: float = 60.0) -> None:
+        _check_address(url)
         self._connect = package("websockets.sync.client", "serve").connect
         errors = package("websockets.exceptions", "serve")
         self._closed, self._refused = errors.ConnectionClosed, errors.InvalidStatus
@@ -73,9 +89,16 @@ class StreamClient:
         self._close()
 
     def send(self, *rows: Row) -> None:
-        """Send rows in one message."""
+        """Send rows in one message.
+
+        Raises
+        ------
+        InputError
+            For a row with anything but numbers (NumPy's too), text, lists of these and None.
+        """
+        text = "\n".join(map(_line, rows))
         self._sent += len(rows)
-        self._connection.send("\n".join(json.dumps(row) for row in rows))
+        self._connection.send(text)
 
     def receive(self, timeout: float | None = None) -> dict[str, Any]:
         """Return the next answer.
@@ -109,7 +132,7 @@ class StreamClient:
         waiting: list[Row] = []
         for row in rows:
             waiting.append(row)
-            if "pose" not in row:
+            if "pose" not in _checked(row):
                 yield from self._exchanged(waiting, partial(_is_answered, self._rows + len(waiting)))
                 waiting = []
         if waiting:
@@ -119,6 +142,9 @@ class StreamClient:
         self, frames: Iterable[tuple[float, Sequence[Row]]], **of_each: Any
     ) -> Iterator[list[dict[str, Any]]]:
         """Send frames of detections, and yield the answers to each: its people, and the end of the frame.
+
+        A frame that waits for earlier ones of a slower sensor (its end is ``held``) is answered with a later
+        frame, or by `end`.
 
         Parameters
         ----------
@@ -131,8 +157,8 @@ class StreamClient:
             As `follow`.
         """
         for t, detections in frames:
-            rows = [{**row, "t": t, **of_each} for row in detections] + [{"end": t, **of_each}]
-            is_complete = partial(_has_ended, t, len(rows), self._rows + len(rows))
+            rows = [{**_checked(row), "t": t, **of_each} for row in detections] + [{"end": t, **of_each}]
+            is_complete = partial(_has_ended, rows[-1], len(rows), self._rows + len(rows))
             yield self._exchanged(rows, is_complete)
 
     def end(self) -> list[dict[str, Any]]:
@@ -210,24 +236,68 @@ class StreamClient:
             self._connection = None
 
 
+def _check_address(url: str) -> None:
+    """Raise InputError unless an address is that of a stream, also below another path."""
+    try:
+        parts = urlsplit(str(url))
+        is_socket = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        is_socket = False
+    if not is_socket:
+        raise InputError(str(url), f"an address as {_EXAMPLE}, or wss://… behind TLS")
+    _, streams, name = parts.path.rpartition(_STREAMS)
+    if not streams:
+        raise InputError(f"{url}, with the path {parts.path!r}", f"the path {_STREAMS}NAME, as {_EXAMPLE}")
+    if not STREAM_NAME.fullmatch(name):
+        expected = "up to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'"
+        raise InputError(f"{url}, with the stream {name!r}", expected)
+
+
+def _line(row: Row) -> str:
+    """Return a row as JSON; InputError for what JSON cannot hold."""
+    try:
+        return json.dumps(_checked(row), default=_plain)
+    except (TypeError, ValueError) as error:
+        found = f"{error} in the row {dict(row)!r}"[:300]
+        raise InputError(found, "numbers, text, None, or lists of these, under names") from error
+
+
+def _checked(row: Row) -> dict[str, Any]:
+    """Return a row as a dictionary; InputError if it is no mapping."""
+    if not isinstance(row, Mapping):
+        raise InputError(f"a row {row!r}"[:200], "a mapping, as {'t': 0.1, 'x': 1.0, 'y': 2.0}")
+    return dict(row)
+
+
+def _plain(value: Any) -> Any:
+    """Return a NumPy number or array as Python's; TypeError for other values."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"a value {value!r} ({type(value).__name__})"[:200])
+
+
 def _is_answered(last: int, found: Sequence[Row]) -> bool:
     """Return whether the answers to rows with identities, of which the last is in a line, are complete."""
     return "status" in found[-1] or found[-1].get("line") == last
 
 
-def _has_ended(t: float, rows: int, last: int, found: Sequence[Row]) -> bool:
+def _has_ended(end: Row, rows: int, last: int, found: Sequence[Row]) -> bool:
     """Return whether the answers to a frame of detections are complete.
 
     Parameters
     ----------
-    t : seconds, of the frame
+    end : of the frame
     rows, last : their number, with the end, and the line of the end
     found : answers so far
     """
     if found[-1].get("line") == last:  # an error of the end
         return True
-    of_frame = [one for one in found if abs(one.get("end", -t - 1.0) - t) <= TIME_TOLERANCE]
+    t, names = end["end"], {key: end[key] for key in ("stream", "sensor") if end.get(key) not in (None, "")}
+    of_frame = [
+        one
+        for one in found
+        if abs(one.get("end", -t - 1.0) - t) <= TIME_TOLERANCE and names.items() <= one.items()
+    ]
     unconfirmed = sum(one.get("status") == "unconfirmed" for one in of_frame)
-    return (
-        any("people" in one for one in of_frame) or unconfirmed + sum("error" in one for one in found) == rows
-    )
+    has_answer = any("people" in one or one.get("status") == "held" for one in of_frame)
+    return has_answer or unconfirmed + sum("error" in one for one in found) == rows

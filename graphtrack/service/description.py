@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 from graphtrack import __version__
 from graphtrack.inference.state import Status
 from graphtrack.model.observation import CHANNELS
-from graphtrack.service.settings import STREAM_NAME
+from graphtrack.service.client import STREAM_NAME
 from graphtrack.tracks.schema import BY_NAME, INTEGERS, Column
 from graphtrack.tracks.validation import SMALLEST
 

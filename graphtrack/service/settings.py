@@ -18,9 +18,6 @@ from graphtrack.errors import InputError
 from graphtrack.streaming.protocol import LONGEST_LINE
 from graphtrack.streaming.session import Answers
 
-STREAM_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
-"""Pattern of a stream's name, which becomes the name of a file."""
-
 
 @dataclass(frozen=True)
 class Limits:

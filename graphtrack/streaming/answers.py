@@ -18,7 +18,7 @@ from graphtrack.errors import InputError
 from graphtrack.inference.state import Estimate, checked, pack_observation, unpack_observation
 from graphtrack.interaction.coupled import CONVERSATIONS
 from graphtrack.interaction.people import people_of_estimates
-from graphtrack.io.formats.ndjson import Pairs, plain_cells, read_cells
+from graphtrack.io.formats.ndjson import Pairs, parse_line, plain_cells, read_cells
 from graphtrack.model import Observation
 from graphtrack.model.same_time import MOVED
 from graphtrack.saved import Saved, integer
@@ -27,7 +27,7 @@ from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
 from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.identities import TextIdentities
 from graphtrack.streaming.moving import Group, MovingSensors
-from graphtrack.streaming.protocol import Answering, error_row, estimate_row
+from graphtrack.streaming.protocol import Answering, error_row, estimate_row, text_of
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.validation import SENSOR_NAME, is_sensor_name
@@ -464,9 +464,12 @@ class Scenes(Answering):
         found: list[list[dict[str, Any]]] = []
         for number, line in lines:
             self.rows, self.line = self.rows + 1, number
-            found.append([])
-            for one in self.ready(number, line, found[-1]):
-                found[-1] += self._answer(*one)
+            answers: list[dict[str, Any]] = []
+            ready = self.ready(number, line, answers)
+            is_held = not answers and all(one != number for one, _ in ready)
+            for one in ready:
+                answers += self._answer(*one)
+            found.append(answers + (_held_end(line) if is_held else []))
         return found
 
     def group_of(self, given: Mapping[str, Any]) -> Group:
@@ -518,9 +521,8 @@ class Scenes(Answering):
         """Process a detection, or the end of a scan or a time, if its time is plausible or confirmed."""
         frame = self._known(name)
         verdict = frame.clock.verdict(one.t, one.sensor)
-        if verdict == "plausible" and frame.t is not None and one.t < frame.t - TIME_TOLERANCE:
-            column = "t" if ends == "nothing" else "end"
-            raise InputError(f"{column} = {one.t:.15g}", f"a time from {frame.t:.15g} on", column=column)
+        if verdict == "plausible":
+            self._check_sequence(frame, one.t, "t" if ends == "nothing" else "end")
         is_open = frame.t is not None and not self._is_after(frame, one.t)
         if ends == "time":
             one = replace(one, sensor=frame.sensor_of_end(is_open))
@@ -548,6 +550,16 @@ class Scenes(Answering):
         if ends != "nothing":
             rows += self._flush(name, one.sensor if ends == "scan" else None)
         return rows + self._forget_streams(frame)
+
+    def _check_sequence(self, frame: DetectionStream, t: float, column: str) -> None:
+        """Raise InputError for a time (seconds) before that of a scan that was processed, or is open."""
+        newest = frame.tracker.t if frame.t is None else frame.t
+        if t < newest - TIME_TOLERANCE:
+            expected = (
+                f"a time from {newest:.15g} on; once a row was out of sequence, the next ones wait for such "
+                f"rows, for up to {self._described.max_delay:g} s (--max-delay)"
+            )
+            raise InputError(f"{column} = {t:.15g}", expected, column=column)
 
     def _known(self, name: Name) -> DetectionStream:
         """Return a stream, which is new if it is none of the members."""
@@ -668,6 +680,13 @@ def _of_stream(name: Name) -> dict[str, Any]:
 
 def _of_sensor(name: str) -> dict[str, Any]:
     return {"sensor": name} if name else {}
+
+
+def _held_end(line: bytes) -> list[dict[str, Any]]:
+    """Return the answer to a line that waits for others: one for the end of a frame, none for a detection."""
+    given = dict(parse_line(text_of(line)))
+    names = {key: given[key] for key in ("stream", "sensor") if given.get(key) is not None}
+    return [{"end": given["end"], **names, "status": "held"}] if "end" in given else []
 
 
 def _end_of(given: Mapping[str, Any]) -> Observation:

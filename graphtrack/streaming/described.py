@@ -16,6 +16,7 @@ from graphtrack.model.observation import on_the_ground, without_errors
 from graphtrack.saved import real
 from graphtrack.streaming.clock import MOST_SENSORS, PLAUSIBLE, StreamClock
 from graphtrack.streaming.moving import MOST_WAITING, Group, Waiting
+from graphtrack.streaming.reordering import ReorderBuffer
 from graphtrack.tracks.sensors import NO_SENSORS, Sensors
 from graphtrack.tracks.time import TIME_TOLERANCE
 
@@ -34,9 +35,11 @@ class _Order:
     uncorrected : newest time in a row, by the clock of its sensor
     held : lines that wait, by their true times
     jumped : lines of implausible times, which the next line confirms or not
+    ordered : lines that wait for others out of sequence
     """
 
     clock: StreamClock
+    ordered: ReorderBuffer[Waiting]
     newest: dict[float, float] = field(default_factory=dict)
     uncorrected: float = -math.inf
     held: list[Waiting] = field(default_factory=list)
@@ -47,7 +50,7 @@ class _Order:
         found: dict[str, Any] = {"clock": self.clock.state(), "newest": [*self.newest.items()]}
         found["uncorrected"] = None if self.uncorrected == -math.inf else self.uncorrected
         found |= {name: [one.state() for one in getattr(self, name)] for name in ("held", "jumped")}
-        return found
+        return found | {"ordered": self.ordered.state(Waiting.state)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over a `state`."""
@@ -56,6 +59,20 @@ class _Order:
         self.uncorrected = -math.inf if state["uncorrected"] is None else real(state["uncorrected"])
         self.held = [*map(Waiting.from_state, state["held"])]
         self.jumped = [*map(Waiting.from_state, state["jumped"])]
+        self.ordered.restore(state["ordered"], Waiting.from_state)
+
+    def in_sequence(self, lines: list[Waiting]) -> list[Waiting]:
+        """Return the lines that wait no longer for others out of sequence, once these came."""
+        found: list[Waiting] = []
+        for one in lines:
+            if not self.ordered.add(one.t, one):
+                found.append(one)  # the answer says that it is too late
+            found += [line for _, line in self.ordered.released()]
+        return found
+
+    def rest(self, lines: list[Waiting]) -> list[Waiting]:
+        """Return all lines that wait, with some further ones, in the order of time."""
+        return [*self.in_sequence(lines), *(line for _, line in self.ordered.rest())]
 
 
 class DescribedSensors:
@@ -64,7 +81,8 @@ class DescribedSensors:
     With different clock offsets the rows of a stream come in the order of true times or of the times in the
     rows. A row waits until no earlier one can come: until each clock has given a row at its time or later, or
     the times in the rows are ahead of it by the largest offset. So it waits no longer than the offsets
-    differ, and not at all if they are equal.
+    differ, and not at all if they are equal. Detections that come out of sequence all the same are put in
+    order by a `ReorderBuffer`.
 
     Parameters
     ----------
@@ -72,6 +90,7 @@ class DescribedSensors:
     camera : of the scene, for positions of pixels
     jump, back : seconds after and before the newest time from which times are implausible; see `StreamClock`
     note : called with a sentence on each sensor that is not described
+    max_delay : seconds for which rows wait at most for others out of sequence
     """
 
     def __init__(
@@ -81,8 +100,10 @@ class DescribedSensors:
         jump: float = PLAUSIBLE,
         note: Callable[[str], None] = lambda text: None,
         back: float = PLAUSIBLE,
+        max_delay: float = 0.0,
     ) -> None:
         self._sensors, self._camera, self._note = sensors, camera, note
+        self.max_delay = max_delay
         self._clock = partial(StreamClock, jump, back)
         self._offsets = {one.clock_offset or 0.0 for one in sensors.values()}
         self._orders: dict[Group, _Order] = {}
@@ -92,6 +113,11 @@ class DescribedSensors:
     def has_clocks(self) -> bool:
         """Return whether a sensor has a clock offset."""
         return any(self._offsets)
+
+    @property
+    def puts_in_order(self) -> bool:
+        """Return whether rows may wait for earlier ones."""
+        return self.has_clocks or self.max_delay > 0.0
 
     def corrected(self, observation: Observation) -> Observation:
         """Return an observation without the known errors of its sensor, in the frame that it is in.
@@ -117,14 +143,13 @@ class DescribedSensors:
         """
         return t - self._offset(sensor) if self._sensors else t
 
-    def in_order(self, number: int, line: bytes, group: Group, sensor: str | None, t: float) -> list[Waiting]:
+    def in_order(self, line: Waiting, sensor: str | None) -> list[Waiting]:
         """Return the lines that need not wait any more once a line came, by their true times.
 
         Parameters
         ----------
-        number, line, group : as in `MovingSensors.hold`
-        sensor : of the line; None for the end of a frame of all sensors
-        t : seconds, by the clock of the sensor
+        line : with its time by the clock of the sensor
+        sensor : of the row, or of the scan that ends; None for the end of a frame of all sensors
 
         Raises
         ------
@@ -132,18 +157,21 @@ class DescribedSensors:
             As `true_time`.
         """
         offset = self._offset(sensor)
-        one = Waiting(number, line, group, sensor, t - offset)
-        found, order = self._order(group)
+        t, one = line.t, line._replace(t=line.t - offset)
+        found, order = self._order(line.group)
         verdict = order.clock.verdict(one.t, sensor or "")
         if verdict == "unconfirmed":
             order.clock.wait(None, Observation(one.t, sensor=sensor or ""), 1)
+            if not self.has_clocks:
+                return [*found, *order.rest([]), one]
             order.jumped.append(one)
             if len(order.jumped) > MOST_WAITING:
                 found.append(order.jumped.pop(0))
             return found
         if verdict == "confirmed":
             order.clock.confirm()
-            found += order.held
+            found += order.rest(order.held)
+            order.ordered.begin_again()
             order.held, order.newest, order.uncorrected = [], {}, -math.inf
         found += order.jumped
         order.jumped = []
@@ -155,14 +183,14 @@ class DescribedSensors:
         complete = min(order.newest.get(each, -math.inf) for each in offsets)
         complete = max(complete, order.uncorrected - max(offsets)) + TIME_TOLERANCE
         first = max(bisect_right(order.held, complete, key=_time), len(order.held) - MOST_WAITING)
-        found += order.held[:first]
+        found += order.in_sequence(order.held[:first])
         del order.held[:first]
         return found
 
     def rest(self) -> Iterator[Waiting]:
         """Remove and yield the lines that wait: the input has ended."""
         for order in self._orders.values():
-            waiting = [*order.held, *order.jumped]
+            waiting = [*order.rest(order.held), *order.jumped]
             order.held, order.jumped = [], []
             yield from waiting
 
@@ -174,7 +202,7 @@ class DescribedSensors:
         """Take over a `state`."""
         self._orders = {}
         for group, saved in state:
-            order = self._orders[group] = _Order(self._clock())
+            order = self._orders[group] = self._new_order()
             order.restore(saved)
 
     def _offset(self, sensor: str | None) -> float:
@@ -192,12 +220,15 @@ class DescribedSensors:
         dropped: list[Waiting] = []
         order = self._orders.pop(group, None)
         if order is None:
-            order = _Order(self._clock())
+            order = self._new_order()
             if len(self._orders) >= _MOST_STREAMS:
                 silent = self._orders.pop(next(iter(self._orders)))
-                dropped = [*silent.held, *silent.jumped]
+                dropped = [*silent.rest(silent.held), *silent.jumped]
         self._orders[group] = order  # the last with a row
         return dropped, order
+
+    def _new_order(self) -> _Order:
+        return _Order(self._clock(), ReorderBuffer(self.max_delay, MOST_WAITING))
 
     def _note_unknown(self, sensor: str) -> None:
         if sensor not in self._noted and len(self._noted) < MOST_SENSORS:

@@ -133,23 +133,23 @@ class Answering:
     def shared_state(self) -> dict[str, Any]:
         """Return the part of the state that belongs to no member, as JSON-able data."""
         found: dict[str, Any] = {"moving": self._moving.state()} if self._moving.is_used else {}
-        return found | ({"ordered": self._described.state()} if self._described.has_clocks else {})
+        return found | ({"ordered": self._described.state()} if self._described.puts_in_order else {})
 
     def restore_shared(self, state: Mapping[str, Any]) -> None:
         """Take over a `shared_state`."""
         if "moving" in state:
             self._moving.restore(state["moving"])
-        if self._described.has_clocks:
+        if self._described.puts_in_order:
             self._described.restore(state["ordered"])
 
     def ready(self, number: int, line: bytes, answers: list[dict[str, Any]]) -> list[tuple[int, bytes]]:
         """Return the lines to answer once a line came: itself, unless it waits, and what waited.
 
-        A row waits for a pose, or for earlier rows of sensors with other clocks. A pose is taken, and
-        answered if it is invalid.
+        A row waits for a pose, or for earlier rows of sensors with other clocks or delays. A pose is taken,
+        and answered if it is invalid.
         """
         moving, described = self._moving, self._described
-        if not (moving.is_used or described.has_clocks) and b'"pose"' not in line:
+        if not (moving.is_used or described.puts_in_order) and b'"pose"' not in line:
             return [(number, line)]
         try:
             pairs = parse_line(text_of(line))
@@ -173,12 +173,10 @@ class Answering:
             if t is None and self.fps is not None and _is_number(given.get("frame")):
                 t = given["frame"] / self.fps
             if _is_number(t) and abs(t) <= LARGEST_SECONDS and isinstance(sensor, str):
-                group, is_end = self.group_of(given), "end" in given
-                if not described.has_clocks:
-                    of_row = None if is_end else sensor
-                    return self._without_held([Waiting(number, line, group, of_row, t)], answers)
+                is_end = "end" in given
+                one = Waiting(number, line, self.group_of(given), None if is_end else sensor, t)
                 of_clock = None if is_end and given.get("sensor") is None else sensor
-                ready = described.in_order(number, line, group, of_clock, t)
+                ready = described.in_order(one, of_clock) if described.puts_in_order else [one]
                 return self._without_held(ready, answers)
         except InputError as error:
             answers.append(error_row(pairs, number, error))

@@ -33,7 +33,7 @@ from graphtrack.model import Model
 from graphtrack.saved import count, damaged
 from graphtrack.streaming.protocol import Answering
 
-VERSION = 10
+VERSION = 11
 """Version of the format and of the meaning of its texts; up to 5 it was a text file."""
 
 _APPLICATION = 0x47547374  # "GTst", where SQLite files name their application

@@ -42,6 +42,7 @@ from graphtrack.streaming.behaviour import FRAMES, Asked, EndedFrames, SceneBeha
 from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MovingSensors
 from graphtrack.streaming.protocol import LONGEST_LINE, Answering, Lines, Refuse, StreamNames, with_first_row
+from graphtrack.streaming.reordering import MAX_DELAY
 from graphtrack.streaming.saved_state import Saving, StateFile, saved_settings, settings_of
 from graphtrack.tracking import OnlineTracker
 from graphtrack.tracks.sensors import NO_SENSORS, digest_of
@@ -78,6 +79,7 @@ class Answers:
     walkable, constants : as in `OnlineSmoother`
     sensors : descriptions of sensors; None: none
     angles : convention of the angles of rows and answers; None: that of the native table
+    max_delay : seconds for which detections wait at most for others out of sequence; see `ReorderBuffer`
     """
 
     model: Model
@@ -93,6 +95,7 @@ class Answers:
     constants: Known = None
     sensors: SensorScene | None = None
     angles: AngleConvention | None = None
+    max_delay: float = MAX_DELAY
 
     @property
     def chosen_engine(self) -> str:
@@ -128,9 +131,9 @@ class Answers:
         undeclared = likelihood.position_std, likelihood.velocity_std
         return MovingSensors(self.lag, self._bounds.jump, undeclared, self._bounds.back)
 
-    def _described(self, note: Callable[[str], None]) -> DescribedSensors:
+    def _described(self, note: Callable[[str], None], max_delay: float = 0.0) -> DescribedSensors:
         known = NO_SENSORS if self.sensors is None else self.sensors
-        return DescribedSensors(known, self.camera, self._bounds.jump, note, self._bounds.back)
+        return DescribedSensors(known, self.camera, self._bounds.jump, note, self._bounds.back, max_delay)
 
     @property
     def _bounds(self) -> StreamBounds:
@@ -179,7 +182,7 @@ class Answers:
             bounds=self._bounds,
             unused=set(unused_columns(self.model, self.camera)).difference(EVIDENCE),
             moving=self._moving(),
-            described=self._described(note),
+            described=self._described(note, self.max_delay),
         )
 
     def _tracker(self) -> OnlineTracker:
@@ -318,11 +321,14 @@ def track_stream(
         elif are_detections is None:
             lines, are_detections = _first_is_detection(lines, refuse)
         people = answers.scenes(note) if are_detections else answers.people(note)
+        if answers.max_delay != MAX_DELAY and not are_detections:
+            note("--max-delay is for detections: rows with identities are used within --lag, in any order")
         saving = None
         if file is not None:
             # Rows that were refused before the state was created are counted.
             people.rows, people.line = nobody.rows, nobody.line
-            settings = answers.settings() | ({"detections": True} if are_detections else {})
+            of_detections = {"detections": True, "max_delay": answers.max_delay} if are_detections else {}
+            settings = answers.settings() | of_detections
             settings |= {} if names.are_native else names.settings()
             # GTSAM does not expose the state of iSAM2: every row is processed again.
             every = None if answers.chosen_engine == "isam2" else save_every

@@ -141,7 +141,7 @@ def test_entries_that_are_missing_moved_or_repeated_are_found(tmp_path, change):
 def test_states_of_earlier_versions_and_other_files_are_refused(tmp_path):
     path = tmp_path / "state"
     path.write_bytes(b"graphtrack-state 0005 00000000000000000076 " + b"0" * 32 + b"\n")
-    with pytest.raises(InputError, match=r"a state of version 5, expected version 10; without the file"):
+    with pytest.raises(InputError, match=r"a state of version 5, expected version 11; without the file"):
         StateFile(path, HOUR)
     assert remove(path)
     for content_of in (b"", b"\n", b"{}\n", b'{"version": 2, "rows": 1}', b"\x00\xff\n", b"0" * 40):

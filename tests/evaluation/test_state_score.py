@@ -146,6 +146,26 @@ def test_each_person_may_have_times_of_their_own() -> None:
     assert row(gt.score_states(renamed, shifted(truth)), "position") == expected
 
 
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1.7e9]))
+def test_stamps_of_a_frame_may_differ_from_person_to_person(seed: int, origin: float) -> None:
+    """Of estimates under other numbers, all rows are compared, although no two stamps are equal."""
+    rng = np.random.default_rng(seed)
+    estimates, truth = scene(n=60)
+
+    def jittered(tracks: TrackSet, first: int) -> TrackSet:
+        return TrackSet(
+            tuple(
+                replace(one, track_id=first - k, t=origin + one.t + rng.uniform(0.0, 0.004, len(one)))
+                for k, one in enumerate(tracks)
+            )
+        )
+
+    found = gt.score_states(jittered(estimates, 12), jittered(truth, 3))
+    assert row(found, "position")["frames"] == 180 and row(found, "position")["tracks"] == 3
+    assert not any("not within" in note for note in found.notes)
+
+
 def test_what_is_not_known_is_named() -> None:
     estimates, truth = scene()
     bare = estimates.map(lambda track: replace(track, covariance=None, velocity=None, head=None))

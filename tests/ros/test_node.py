@@ -3,6 +3,7 @@
 import importlib
 import itertools
 import math
+import subprocess
 import sys
 import types
 from typing import ClassVar
@@ -275,6 +276,50 @@ def test_a_clock_that_is_set_back_takes_its_tf_with_it():
     # Between two tellings of the new time there is none of the old.
     late = live.take(people(0.4, [person("ben", 0.0, 0.0)], "base"))
     assert [one.x for one in late.people] == [pytest.approx(20.0)]
+
+
+def test_a_clock_that_is_set_back_begins_again_once_while_a_slower_sensor_follows():
+    """A camera 0.4 s behind a laser sends messages of the time before, in turn with those of the laser."""
+    said, found = [], []
+    live = Live(POSES, "position", warn=said.append)
+
+    def seen(t, topic):
+        return live.take(poses(t, [(0.1 * t, 0.0)]), topic=topic)
+
+    for k in range(20):
+        seen(100.4 + 0.1 * k, "/laser")
+        seen(100.0 + 0.1 * k, "/camera")
+    said.clear()
+    for k in range(20):
+        found.append(seen(5.0 + 0.1 * k, "/laser"))
+        seen((102.0 if k < 4 else 4.6) + 0.1 * k, "/camera")
+    assert sum("tracking begins again" in one for one in said) == 1
+    assert live.dropped["messages of the time before the clock was set back"] == 4
+    newest = [one.stamp for one in found if one is not None]
+    assert newest == sorted(newest) and nanoseconds(6.9) - newest[-1] < 0.35e9 and found[-1].people
+    # A clock that goes on at the time before is followed.
+    seen(103.0, "/laser")
+    seen(103.1, "/camera")
+    assert live._last == nanoseconds(103.1) and sum("tracking begins again" in one for one in said) == 1
+
+
+def test_a_frame_that_moves_with_the_robot_is_named_once():
+    for frame, fixed, expected in (("base_link", None, 1), ("map", None, 0), ("base_link", "map", 0)):
+        said = []
+        live = Live(POSES, "position", fixed_frame=fixed, warn=said.append)
+        live.take_transforms(transforms(transform(0.0, "map", "base_link", 0.0, 0.0, turned(0.0))))
+        for k in range(3):
+            message = poses(0.1 * k, [(0.0, 0.0)])
+            message.header.frame_id = frame
+            live.take(message)
+        warnings = [one for one in said if one.startswith("WARNING") and "moves with the robot" in one]
+        assert len(warnings) == expected and all("fixed_frame map" in one for one in warnings)
+
+
+def test_help_of_the_node_needs_no_ros():
+    command = (sys.executable, "-m", "graphtrack.ros.graphtrack_node", "--help")
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "fixed_frame:=\n" in done.stdout and "max_delay:=0.25" in done.stdout and not done.stderr
 
 
 def test_who_is_not_seen_for_long_is_forgotten():

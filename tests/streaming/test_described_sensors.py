@@ -148,8 +148,9 @@ def test_ends_of_scans_have_the_clock_of_their_sensor():
     rows = [{"t": 1.23, "sensor": "east", "x": 0.0, "y": 0.0}, {"end": 1.23, "sensor": "east"}]
     rows += [{"t": 0.95, "sensor": "west", "x": 0.0, "y": 0.0}, {"end": 0.95, "sensor": "west"}]
     found = answers_of(rows)
-    ends = [(one["sensor"], round(one["end"], 6)) for one in found if "end" in one]
+    ends = [(one["sensor"], round(one["end"], 6)) for one in found if "people" in one]
     assert ends == [("east", 1.0), ("west", 1.06)]
+    assert [one["end"] for one in found if one.get("status") == "held"] == [0.95]  # by its own clock
     (wrong,) = [one for one in answers_of([*rows, {"end": 2.0}]) if "error" in one]
     assert "whose clock offset is needed" in wrong["error"] and wrong["line"] == 5
     alone = Answers(gt.Model.named("joint"), sensors=gt.SensorScene({"east": EAST})).scenes()

@@ -294,6 +294,24 @@ FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Fixed frames of reference, by REP 105."""
 
 
+_WITHOUT_TF = "the recording has no tf: --poses FILE has the robot's poses"
+
+
+def may_move(frame: str) -> bool:
+    """Return True for the name of a frame of reference that may move with a robot."""
+    return frame.lstrip("/") not in (*FIXED_FRAMES, "")
+
+
+def of_moving_frame(frame: str, way: str) -> str:
+    """Return the warning on positions in a frame that may move; ``way``: the option that transforms them."""
+    is_of_robot = frame.lstrip("/").startswith("base_")
+    moves = f"{frame}, which moves with the robot" if is_of_robot else f"{frame}: if it moves with a robot"
+    return (
+        f"{'WARNING: ' * is_of_robot}positions are in the frame {moves}, people who stand still seem to "
+        f"walk, and velocities are relative to the robot; {way}"
+    )
+
+
 class GroundFrame:
     """Transformation of sightings to the ground of a frame of reference.
 
@@ -306,7 +324,7 @@ class GroundFrame:
 
     Attributes
     ----------
-    fixed, notes : the frame of reference, once known, and assumptions
+    fixed : the frame of reference, once known
     """
 
     def __init__(
@@ -315,14 +333,14 @@ class GroundFrame:
         self.fixed, self._transforms, self._humans = fixed, transforms, humans
         self._was_given, self._has_transforms = fixed is not None, has_transforms
 
-    @property
-    def notes(self) -> list[str]:
-        """Notes on assumptions."""
+    def notes(self, *, has_poses: bool = False) -> list[str]:
+        """Return notes on assumptions; ``has_poses``: poses move the frame of reference."""
         if self._was_given:
             return [f"positions are in the frame {self.fixed}"]
-        may_move = self._has_transforms and self.fixed not in (*FIXED_FRAMES, "")
-        hint = "; --fixed-frame transforms them to a fixed one" if may_move else ""
-        return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed{hint}"]
+        if not has_poses and may_move(self.fixed or ""):
+            way = "--fixed-frame map (or odom) transforms them by tf"
+            return [of_moving_frame(self.fixed or "", way if self._has_transforms else _WITHOUT_TF)]
+        return [f"positions are in the frame {self.fixed or 'without a name'}, not transformed"]
 
     def placed(self, sightings: NDArray[np.void]) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Return x, y, pos_std, body_rad, body_kappa, head_rad, head_kappa, score, stamp, name, number.
@@ -452,7 +470,10 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
         kinds = {bag.topics[name] for name in topics}
         shown = ", ".join(f"{name} ({bag.topics[name]})" if len(kinds) > 1 else name for name in topics)
         of_kind = f" ({bag.topics[topics[0]]})" if len(kinds) == 1 else ""
-        notes = [f"topic{'' if len(topics) == 1 else 's'} {shown}{of_kind}", *ground.notes]
+        notes = [
+            f"topic{'' if len(topics) == 1 else 's'} {shown}{of_kind}",
+            *ground.notes(has_poses=options.poses is not None),
+        ]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class selects")
         named = topics if len(sensors) > 1 else [""] * len(topics)
