@@ -58,7 +58,7 @@ def checked(observation: Observation) -> Observation:
         found = "None" if observation is None else f"a {type(observation).__name__}"
         raise InputError(found, "an Observation; its channels are None where nothing was observed")
     if type(observation.frame) is not int:
-        observation = replace(observation, frame=_whole(observation.frame))
+        observation = replace(observation, frame=_frame_number(observation.frame))
     if observation.inputs:
         observation = replace(observation, inputs=_checked_inputs(observation.inputs))
     if observation.sensor and not is_sensor_name(observation.sensor):
@@ -85,7 +85,7 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float,
     return found
 
 
-def _whole(frame: object) -> int:
+def _frame_number(frame: object) -> int:
     """Return the number of a frame, also NumPy's; InputError for other values."""
     if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
         raise InputError(f"frame = {_shown(frame)}", "a whole number")
