@@ -555,10 +555,9 @@ class Scenes(Answering):
         """Raise InputError for a time (seconds) before that of a scan that was processed, or is open."""
         newest = frame.tracker.t if frame.t is None else frame.t
         if t < newest - TIME_TOLERANCE:
-            expected = (
-                f"a time from {newest:.15g} on; once a row was out of sequence, the next ones wait for such "
-                f"rows, for up to {self._described.max_delay:g} s (--max-delay)"
-            )
+            longest = self._described.max_delay
+            waits = f"; once a row was out of sequence, the next ones wait for such rows, up to {longest:g} s"
+            expected = f"a time from {newest:.15g} on{waits if longest else ''} (--max-delay)"
             raise InputError(f"{column} = {t:.15g}", expected, column=column)
 
     def _known(self, name: Name) -> DetectionStream:

@@ -353,7 +353,7 @@ def test_an_end_tells_at_once_and_one_of_no_detections_is_a_frame_too() -> None:
     assert told == {"end": 0.0, "people": len(people), "detections": 1}
     assert of.answers(3, b'{"end": 0.4}')[-1]["detections"] == 0
     (wrong,) = of.answers(4, b'{"end": 0.2}')
-    assert "after 0.4" in wrong["error"]
+    assert "from 0.4 on (--max-delay)" in wrong["error"]
 
 
 def test_streams_do_not_know_of_each_other() -> None:
