@@ -95,7 +95,7 @@ def tracking_report(
     title, subtitle : str
     comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
     calibration : interval coverage of the methods, as for `graphtrack.report.plots.plot_reliability`
-    cards : further numbers for the top of the page
+    cards : further numbers, which come first at the top of the page
     sections : further sections, put at the end
 
     events : identity errors, from `graphtrack.evaluation.identity_events.judge_events`;
@@ -158,7 +158,7 @@ def tracking_report(
     return Report(
         title=title,
         subtitle=subtitle,
-        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *extra, *cards),
+        cards=(*cards, *_cards(pairs, errors), *identity_cards(lives or ()), *extra),
         replay=replay,
         sections=(*parts, *sections),
     )

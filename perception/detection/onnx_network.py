@@ -40,7 +40,10 @@ class OnnxNetwork:
         try:
             self._session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its errors have no public base class
-            raise InputError(_cannot_run(error), "an ONNX file that is whole", path=path) from error
+            expected = "an ONNX file that is whole"
+            if Path(path).suffix.lower() in (".pt", ".pth"):
+                expected = f"an ONNX file: yolo export model={Path(path).name} format=onnx writes one"
+            raise InputError(_cannot_run(error), expected, path=path) from error
         self.notes: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
         self.ranks = [len(output.shape or ()) for output in self._session.get_outputs()]
 

@@ -155,6 +155,12 @@ def test_bad_networks_are_one_line_and_nothing_is_written(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["boxes.txt", "n.onnx", "walk"]
 
 
+def test_a_network_of_pytorch_has_the_command_that_converts_it(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "yolo11n.pt").write_bytes(b"PK")
+    done = run("observe", walk, "--detector", tmp_path / "yolo11n.pt", "-o", tmp_path / "out.csv")
+    assert done.returncode == 2 and "yolo export model=yolo11n.pt format=onnx" in done.stderr
+
+
 BOXES = [(40.0, 30.0, 36.0, 80.0), (150.0, 20.0, 30.0, 60.0), (220.0, 0.0, 36.0, 60.0)]
 
 
