@@ -132,6 +132,18 @@ def test_few_items_wait_at_a_time():
     assert buffer.add(-50.0, 0)
 
 
+@pytest.mark.parametrize("hz", [0.5, 20.0])
+def test_after_a_minute_in_order_nothing_waits_at_any_rate(hz):
+    buffer = ReorderBuffer()
+    for t in (0.0, 0.2, 0.05):
+        buffer.add(t, t)
+        list(buffer.released())
+    for t in np.arange(0.25, 100.0, 1.0 / hz).tolist():
+        buffer.add(t, t)
+        list(buffer.released())
+        assert bool(len(buffer)) is (t <= 60.2)
+
+
 def test_a_tracker_in_python_names_what_puts_scans_in_order():
     tracker = gt.OnlineTracker("position", scene=SceneParameters(position_std=0.05))
     tracker.update(1.15, [gt.Observation(1.15, position=(0.0, 0.0))], "laser")
