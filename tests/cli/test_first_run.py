@@ -80,6 +80,7 @@ def test_association_and_solver_are_compiled_and_reported_each(cold, monkeypatch
     assert SAID not in run(monkeypatch, capsys, line).err
 
 
+@pytest.mark.slow
 def test_a_stream_compiles_before_its_first_row_and_answers_in_json_alone(cold, monkeypatch, capsys):
     output = run(monkeypatch, capsys, "track -", ROW)
     assert output.err.count(SAID) == 1

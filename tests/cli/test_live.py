@@ -356,6 +356,7 @@ def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, 
     assert code == 2 and "columns" in said
 
 
+@pytest.mark.slow
 def test_a_row_that_cannot_be_read_is_answered_before_the_next_comes():
     """A client may wait for each answer before it sends the next row."""
     command = [*TRACK_STREAM, "--model", "position", "--fps", "10"]

@@ -282,6 +282,7 @@ def test_a_disk_that_is_full_is_told_and_what_was_there_stays(tmp_path):
     assert content(path) == VALUES
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="no limit of file sizes")
 def test_a_limit_of_the_disk_is_one_error(tmp_path):
     code = """

@@ -356,6 +356,7 @@ def test_an_end_tells_at_once_and_one_of_no_detections_is_a_frame_too() -> None:
     assert "from 0.4 on (--max-delay)" in wrong["error"]
 
 
+@pytest.mark.slow
 def test_streams_do_not_know_of_each_other() -> None:
     one, other = rows_of(1, stream="north"), rows_of(2, stream=7)
     together = [row for pair in zip(one, other, strict=False) for row in pair]

@@ -149,6 +149,7 @@ def numeric_options():
                     yield program, one.name, (*info.param_decls, info.default)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", others_slow(["1e999", "nan"], ["nan"]))
 def test_no_number_is_infinite_or_nan(value):
     given = list(numeric_options())

@@ -93,6 +93,7 @@ def test_a_state_of_other_constants_is_refused() -> None:
         OnlineSmoother.from_state(fixed.state())
 
 
+@pytest.mark.slow
 def test_an_observation_that_fails_teaches_nothing() -> None:
     class Breaks(gt.Term):
         """A factor that raises when it is made in a frame with the input."""

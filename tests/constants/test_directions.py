@@ -154,6 +154,7 @@ def turned(track: Track, degrees: float) -> Track:
     return replace(track, body=wrap(track.body + np.radians(degrees)))
 
 
+@pytest.mark.slow
 def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
     off = walkers(0).map(lambda track: turned(track, 30.0))
     noise = declared_noise(off, MODEL)

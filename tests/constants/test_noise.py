@@ -276,6 +276,7 @@ def test_smooth_says_the_noise_that_it_learned(tmp_path: Path) -> None:
     assert white == pytest.approx(0.2, rel=0.15) and along == pytest.approx(np.hypot(0.2, 0.4), rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [3, 20])
 def test_noise_that_could_not_be_learned_is_named(seconds: int, tmp_path: Path) -> None:
     """Of takes of a few seconds the noise is the model's, which the command and the report say."""

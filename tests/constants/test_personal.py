@@ -192,6 +192,7 @@ def test_a_population_is_read_as_it_was_written_and_others_are_refused(tmp_path)
 # -- smoothing -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_everybody_gets_constants_of_their_own() -> None:
     people = mixed()
     found = gt.solve(people, constants="learn")

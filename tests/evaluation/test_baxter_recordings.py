@@ -226,6 +226,7 @@ def test_the_gaze_of_ucy_is_told(data_dir: Path) -> None:
     assert deviation_statistics(tracks, "ucy", window=2).leaks_the_future
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mocap/tracks_30hz.csv.gz", "caviar/xml/mws1gt.xml"])
 def test_recorded_people_look_where_they_go(name: str, data_dir: Path) -> None:
     tracks = io.read_identified(data_dir / name)

@@ -97,6 +97,7 @@ def test_wrong_methods_and_options_are_refused(scene: Party, labelled: Path, tmp
         assert done.returncode == 2 and str(wrong[-1] if len(wrong) > 2 else wrong[0]) in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "hidden",
     [

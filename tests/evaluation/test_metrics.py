@@ -199,6 +199,7 @@ def test_tracks_count_alike_however_long_they_are() -> None:
     assert pooled([long])["nees_error"] is None
 
 
+@pytest.mark.slow
 def test_a_comparison_has_it_for_each_method_and_quantity(cwd, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
     tracks = TrackSet(tuple(walk(40, seed=k, track_id=k) for k in range(1, 4)))
     found = compare(tracks, ["kf", "rts"])

@@ -207,6 +207,7 @@ def people(hz, noise=0.0, offset=0.0, jitter=0.0, seed=0):
     return gt.TrackSet(tuple(tracks))
 
 
+@pytest.mark.slow
 @given(RATES, RATES, st.integers(0, 99))
 def test_rates_change_no_identity(hz, of_truth, seed):
     found = gt.score(people(hz, 0.03, seed=seed), people(of_truth), metres=0.5).together
@@ -215,6 +216,7 @@ def test_rates_change_no_identity(hz, of_truth, seed):
         assert abs(found.frames - 20.0 * min(hz, of_truth)) <= 1
 
 
+@pytest.mark.slow
 @given(st.floats(0.0, 0.03), st.floats(0.0, 0.004))
 def test_each_sensor_may_have_a_clock_of_its_own(offset, jitter):
     found = gt.score(people(10, 0.03, offset, jitter), people(10, 0.0, offset, jitter), metres=0.5).together

@@ -47,6 +47,7 @@ def channels_of(model: str) -> tuple[str, ...]:
     return tuple(name for name in ("head", "body") if getattr(gt.Model(model), f"has_{name}"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", others_slow([1.0, 10.0, 100.0], [10.0]))
 @pytest.mark.parametrize("model", others_slow(WITH_ANGLES, ["joint", "joint-intentional"]))
 @pytest.mark.parametrize("online", [False, True])

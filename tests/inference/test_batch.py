@@ -103,6 +103,7 @@ def simulated(
     return Track(1, np.arange(n), dt * np.arange(n), seen), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, 6, 11])
 def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> None:
     parameters = Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15))

@@ -69,6 +69,7 @@ def answers(tracks: list[Track]) -> Sequence[Track]:
     return solved(tracks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [180.0, 90.0, 37.0])
 def test_turned_input_turns_the_answer(tracks: list[Track], answers: Sequence[Track], degrees: float) -> None:
     angle = math.radians(degrees)

@@ -76,6 +76,7 @@ def test_the_full_history_ends_at_the_batch_answer(model: Model, track: Track) -
     assert np.median(away) <= 0.03 and np.quantile(away, 0.99) <= 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
     """They let frames go at the optimum; with the exact curvature there, or with GTSAM's."""

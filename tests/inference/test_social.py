@@ -56,6 +56,7 @@ def errors(found: TrackSet, made: Party) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solve", "share", "most"), [(gt.smooth, 0.5, 0.9), (gt.track_online, 0.7, np.inf)])
 def test_bodies_and_heads_of_a_party_are_found_from_positions(solve: Any, share: float, most: float) -> None:
     made, seen = positions()

@@ -43,6 +43,7 @@ def test_nothing_of_the_future_leaks():
         np.testing.assert_array_equal(part[name], whole[name])
 
 
+@pytest.mark.slow
 def test_circles_hold_what_they_say_of_people_who_wander():
     scene = wanderers(120, np.random.default_rng(4))
     table = gt.forecast(scene, history=3.2)

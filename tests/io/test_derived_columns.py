@@ -32,6 +32,7 @@ def test_speed_and_heading_stand_in_the_file_and_are_not_read(estimates, tmp_pat
     assert again.to_table()["speed"].to_numpy() == pytest.approx(table["speed"].to_numpy())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["with.csv", "with.parquet", "with.ndjson"])
 def test_intervals_are_written_on_request_around_the_estimates(estimates, tmp_path, name):
     gt.write(estimates, tmp_path / name, intervals=0.9)

@@ -39,6 +39,7 @@ def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(t
     assert "999990 more" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [b"\n" * 2**20, b"1" * 2**20], ids=["blank", "endless"])
 def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "bomb.csv.gz"
@@ -95,6 +96,7 @@ def test_a_geopackage_that_cannot_be_completed_is_an_error_of_writing(
     assert [one.name for one in tmp_path.iterdir()] == ["in.csv"]
 
 
+@pytest.mark.slow
 def test_the_table_of_info_ends(tmp_path: Path) -> None:
     rows = (f"{k},0,0,{k},0\n" for k in range(1001))
     (tmp_path / "in.csv").write_text(HEADER + "\n" + "".join(rows))
@@ -103,6 +105,7 @@ def test_the_table_of_info_ends(tmp_path: Path) -> None:
     assert "only the first 1,000 tracks are shown; --json writes all" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["öut.csv", os.fsdecode(b"\xff\xfeo.csv")])
 def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> None:
     (tmp_path / "in.csv").write_text(TEXT)

@@ -81,6 +81,7 @@ def test_people_walk_at_a_walking_pace(name: str, slowest: float, fastest: float
     assert slowest < np.nanmedian(speeds(io.read_identified(data_dir / name), seconds)) < fastest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seconds", "slowest", "degrees"),
     [

@@ -62,6 +62,7 @@ TERMS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", others_slow(TERMS, TERMS[1:3]), ids=repr)
 def test_derivatives_are_those_of_the_cost(term: FunctionTerm) -> None:
     track = with_inputs()

@@ -336,6 +336,7 @@ def test_the_command_writes_a_calibration_that_is_read(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_town_centre_is_found_from_its_public_detections(data_dir: Path) -> None:
     town_centre = data_dir / "towncentre"
     boxes = read_boxes(town_centre / "frames_001_150" / "det.txt")

@@ -76,6 +76,7 @@ def test_likelihoods_are_normalised(fitted: Fitted, heads: Heads) -> None:
     assert np.isfinite(fitted[0].log_likelihood(images[0][..., 1].copy())).all()  # grey
 
 
+@pytest.mark.slow
 def test_a_saved_model_says_the_same(fitted: Fitted, heads: Heads, tmp_path: Path) -> None:
     model, path = fitted[0], tmp_path / "model.npz"
     model.save(path)

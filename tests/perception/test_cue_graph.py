@@ -71,6 +71,7 @@ def cost(inputs: tuple[float, ...], places: FloatArray) -> FloatArray:
     return -np.log((1.0 + odds * np.exp(-squares / 2.0)) / (1.0 + odds))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_graph_has_the_place_of_a_grid_over_the_same_likelihoods(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -69,6 +69,7 @@ def test_online_estimates_alone_do_not_know_what_comes_after(name: str, people: 
     assert (max(apart) < 1e-9) == (method.group == "online")
 
 
+@pytest.mark.slow
 def test_likelihoods_in_the_image_are_those_of_the_world_turned_back(people: list[ObservedPerson]) -> None:
     for person in people:
         for angle in ("body", "head"):

@@ -117,6 +117,7 @@ def test_a_person_who_disappears_is_lost_and_one_who_stays_is_not(tmp_path: Path
     assert f"lost in frames {states.index('lost')} to the end" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_start_on_the_background_is_refused_unless_anything_is_followed(tmp_path: Path) -> None:
     target = next(one for one in street(BACKGROUND, frames=25) if one.start is not None)
     done, rows = follow(target, tmp_path)
@@ -126,6 +127,7 @@ def test_a_start_on_the_background_is_refused_unless_anything_is_followed(tmp_pa
     assert done.returncode == 0 and len(rows) == len(target.images), done.stderr
 
 
+@pytest.mark.slow
 def test_a_later_start(tmp_path: Path) -> None:
     target = street(ABSENT)[0]
     box = ",".join(f"{value:.1f}" for value in target.body[10])

@@ -234,6 +234,7 @@ def test_what_was_taught_holds_for_other_people(
     assert right[sure].mean() > 0.7 and right[p < 0.2].mean() < 0.2
 
 
+@pytest.mark.slow
 def test_nothing_is_taught_where_nobody_walks(street: PastedStreet, backgrounds: Backgrounds) -> None:
     image = street.frames[3].image
     assert image is not None

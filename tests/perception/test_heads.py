@@ -107,6 +107,7 @@ def test_it_finds_heads(fitted: HeadLocaliser, people: People) -> None:
         assert len(found.boxes) >= 1 and (np.diff(found.scores) <= 0).all()
 
 
+@pytest.mark.slow
 def test_a_saved_model_says_the_same(fitted: HeadLocaliser, people: People, tmp_path: Path) -> None:
     fitted.save(tmp_path / "heads.npz")
     again = HeadLocaliser.load(tmp_path / "heads.npz")

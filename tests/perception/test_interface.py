@@ -78,6 +78,7 @@ def test_observe_returns_what_the_command_writes(clip: Path, tmp_path: Path, ide
     assert sorted(path.name for path in tmp_path.iterdir()) == ["boxes.txt", "command.csv", "own.csv"]
 
 
+@pytest.mark.slow
 def test_follow_returns_what_the_command_writes(clip: Path, tmp_path: Path) -> None:
     box = 452.0, 200.0, 39.0, 120.0
     options = ["--tracker", "color", "--init", ",".join(map(str, box)), "--seed", 3]

@@ -91,6 +91,7 @@ def people(data_dir) -> list[PersonWithHeads]:
     return found
 
 
+@pytest.mark.slow
 def test_heads_of_caviar_stand_for_the_labelled_ones(people: list[PersonWithHeads]) -> None:
     for person in people:
         assert len(person.images) == len(person.track) == len(person.pan) >= 20

@@ -113,6 +113,7 @@ def test_reliabilities_follow_equations_5_and_6() -> None:
         assert value == pytest.approx(0.9 * alpha[c] + 0.1 * f + 0.02)
 
 
+@pytest.mark.slow
 def test_who_moves_is_followed_from_a_box_and_found_without() -> None:
     for box, first in ((box_at(path(0)), 0), (None, 15)):
         images = [shown(path(k) if k >= first else None, k) for k in range(45)]

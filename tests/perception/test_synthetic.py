@@ -347,6 +347,7 @@ def test_boxes_enclose_the_pixels_of_the_head(around: HeadClip) -> None:
     assert np.mean(away, axis=0).max() < 1.0
 
 
+@pytest.mark.slow
 def test_the_face_is_where_the_pan_says(around: HeadClip) -> None:
     skin = [inside(red(image), box) for image, box in zip(around.images, around.boxes, strict=True)]
     share = np.array([mask.mean() for mask in skin])

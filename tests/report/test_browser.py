@@ -49,6 +49,7 @@ def test_all_none_or_only_some_are_shown(seen):
     assert seen["all"] == "2 found, 60 of 60 shown"
 
 
+@pytest.mark.slow
 def test_keys_and_buttons_step_by_frames(seen):
     assert [seen[name] for name in ("on", "ten", "back", "button")] == pytest.approx([0.4, 4.4, 4.0, 4.4])
 

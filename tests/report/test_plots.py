@@ -115,6 +115,7 @@ nan = np.nan
 BARE = Track(5, [0, 1, 2], [0.0, 0.1, 0.2], [[0, 0], [nan, nan], [1, 1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tracks",
     [

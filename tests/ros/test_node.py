@@ -316,6 +316,7 @@ def test_a_frame_that_moves_with_the_robot_is_named_once():
         assert len(warnings) == expected and all("fixed_frame map" in one for one in warnings)
 
 
+@pytest.mark.slow
 def test_help_of_the_node_needs_no_ros():
     command = (sys.executable, "-m", "graphtrack.ros.graphtrack_node", "--help")
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -397,6 +398,7 @@ def test_what_is_dropped_is_counted_and_reported():
     assert "set back by 11.1 s" in said[-1]
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(st.lists(st.floats(0.0, 3.0), min_size=30, max_size=30), st.sampled_from([0.3, 1.0, 2.0]))
 def test_each_message_of_a_name_is_used_or_counted(delays, lag):
@@ -420,6 +422,7 @@ def moving(t, cameras):
 ONE, TWO = ("/one", "/one"), ("/left", "/right")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("offset", "topics"),
     others_slow(

@@ -138,6 +138,7 @@ def test_a_cluster_that_does_not_answer_is_one_error(kind, data, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
 
 
+@pytest.mark.slow
 def test_wrong_use_is_one_error(data, tmp_path):
     for options, words in (
         (("--cluster", "tcp://127.0.0.1:9", "--jobs", "3"), "3 jobs on a cluster"),

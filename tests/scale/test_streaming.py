@@ -89,6 +89,7 @@ def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, t
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_well_known_names_are_read_and_written_as_of_one_file(table, tmp_path):
     named = table.rename(columns={"track_id": "ped_id", "t": "time", "x": "pos_x", "y": "pos_y"})
     folder = tmp_path / "data"
@@ -111,6 +112,7 @@ def test_well_known_names_are_read_and_written_as_of_one_file(table, tmp_path):
             open_dataset(tmp_path / "unit.parquet")
 
 
+@pytest.mark.slow
 def test_a_folder_is_one_table_and_its_files_may_have_different_columns(table, tmp_path):
     whole = tmp_path / "whole.parquet"
     table.to_parquet(whole, index=False)

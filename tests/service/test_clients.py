@@ -325,6 +325,7 @@ def test_the_client_of_a_resumed_stream_is_in_step(service):
     assert client.known_rows == 3 and all(answer["frame"] < 3 for answer in client.repeated)
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_slowly_gets_every_answer(service):
     """Closing waits for clients that still read."""
     asking = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)

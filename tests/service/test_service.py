@@ -208,6 +208,7 @@ def test_a_token_is_asked_for_and_people_are_bounded():
 TOKEN_FILE = ("--token-file", "token")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "token", "said"),
     [

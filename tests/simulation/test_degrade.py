@@ -284,6 +284,7 @@ def test_as_many_are_missed_as_is_said_and_then_nothing_is_observed() -> None:
         np.testing.assert_array_equal(track.true_position, truth.position)
 
 
+@pytest.mark.slow
 def test_half_of_the_people_are_hidden_once_for_so_long_within_their_tracks() -> None:
     detector = Detector(occluded_share=0.5, occluded_seconds=2.0)
     starts = []

@@ -58,6 +58,7 @@ def test_presets_have_the_channels_of_their_model() -> None:
     np.testing.assert_allclose(tracks.by_id(0).t, np.arange(7) / 4.0)
 
 
+@pytest.mark.slow
 def test_missing_observations_come_at_their_rate_and_never_first() -> None:
     noise = {"position_std": 0.3, "body_kappa": 1.5, "head_kappa": 6.0}
     tracks = simulate("joint", n_tracks=50, rng=np.random.default_rng(8), missing=0.3, **noise)
@@ -160,6 +161,7 @@ def by_quadrature(t: np.ndarray, diffusion: float, pull: np.ndarray, bins: int =
     return density / density.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reach", [1.0, 20.0])
 def test_three_angles_have_the_moments_of_the_chain(reach: float) -> None:
     t, diffusion = np.array([0.0, 0.5, 2.0]), 0.4

@@ -62,6 +62,7 @@ def test_a_plausible_row_discards_the_rows_that_wait(identified: bool) -> None:
     assert [row["status"] for row in (*found[7], *found[-1])] == ["unconfirmed"] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("identified", "to"),
     others_slow(

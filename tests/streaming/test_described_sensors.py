@@ -80,6 +80,7 @@ def test_a_stream_has_the_estimates_of_the_corrected_file(by, sensors):
         np.testing.assert_allclose(wrap(body - track.body), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["t", "true"])
 def test_a_stream_of_detections_has_the_people_of_the_corrected_file(by):
     rows = [{name: value for name, value in row.items() if name != "track_id"} for row in rows_of(by=by)]

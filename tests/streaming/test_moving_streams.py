@@ -218,6 +218,7 @@ def test_one_wrong_time_of_a_pose_changes_nothing_and_two_begin_again():
     assert "time jumped" in notes[-2] and found[-1][0]["status"] == "unconfirmed"  # by the clock of the rows
 
 
+@pytest.mark.slow
 def test_the_kind_of_rows_is_that_of_the_first_one_after_the_poses():
     done = run("track", "-", "--model", "position", program="graphtrack", rows=stream())
     found = [json.loads(line) for line in done.stdout.splitlines()]

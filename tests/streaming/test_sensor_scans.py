@@ -115,6 +115,7 @@ def test_sensors_of_a_stream_are_bounded(monkeypatch):
     assert "error" not in answered([{"t": 0.5, "sensor": "s0", "x": 0.0, "y": 0.0}], of)[-1]
 
 
+@pytest.mark.slow
 def test_revisions_name_the_sensor_of_their_detection():
     rng = np.random.default_rng(4)
     of, rows = scenes(), []

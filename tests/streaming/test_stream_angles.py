@@ -68,6 +68,7 @@ def test_angles_in_an_image_without_a_place_are_reported_once() -> None:
     assert len(notes) == 1 and "'head_deg'" in notes[0]
 
 
+@pytest.mark.slow
 def test_a_stream_is_answered_as_its_file_is_read(tmp_path: Path) -> None:
     """Rows of one convention have the answers of the native rows, in that convention; a state knows it."""
     rows = [

@@ -248,6 +248,7 @@ def compare(*more: str) -> Done:
     return run("compare", "detections.csv", "--truth", "truth.csv", *more, program="graphtrack")
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_line_for_each_method_and_writes_all_figures(here: Path, ducks: None) -> None:
     done = compare("--methods", "associate,hungarian,bytetrack,ocsort", "--json", "found.json")
     assert done.returncode == 0, done.stderr
