@@ -8,8 +8,9 @@ decreases; a few sweeps suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +92,28 @@ def associate_detections(
     """
     make_association_ready()
     search = _Search(detections, known_values(scene), start)
-    search.run(rounds, progress)
+    result_of(search.run(rounds, progress))
     return search.found(search.identities())
+
+
+Result = TypeVar("Result")
+Steps = Generator[float, None, Result]
+"""Work in steps; before each it yields its expected cost in milliseconds of one slow core, as measured once:
+not by the clock, so that work in parts is the same in each run."""
+
+
+def cost_of_move(detections: float, together: int) -> float:
+    """Return the cost of matching a frame's detections again, of so many together; see `Steps`."""
+    return 0.4 + 1.2e-4 * detections * min(together, 1000)  # those in the frames of the longest gap
+
+
+def result_of(steps: Steps[Result]) -> Result:
+    """Make all steps, and return the result."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(Result, end.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +127,18 @@ class LearnedScene:
     appearance: AppearanceEvidence
 
 
-def learn_from_detections(detections: Detections, known: Known) -> LearnedScene:
+def learning_steps(detections: Detections, known: Known) -> Steps[LearnedScene]:
     """Learn the unknown parameters of a scene from some of its detections, by finding the people in them."""
+    n = len(detections)
+    yield 20.0 + 0.025 * n
     search = _Search(detections, known)
-    search.run(LEARNING_ROUNDS)
+    yield from search.run(LEARNING_ROUNDS)
+    yield 10.0 + 0.02 * n
     scene, identity = search.learned(), search.identities()
+    yield 8.0 + 0.004 * n
     appearance = search.appearance_of(identity)
     search.adopt(scene)
+    yield 10.0
     rates = learn_ground_rates(search.chains, identity)
     return LearnedScene(scene, search.velocities, rates, search.sensor_rates, appearance)
 
@@ -138,8 +164,8 @@ def repair_detections(
     search.begin_with(given)
     for _ in range(ROUNDS):
         search.adopt(search.learned())
-        search.settle()
-        search.join_doubles()
+        result_of(search.settle())
+        result_of(search.join_doubles())
     root, _ = search.roots()
     return search.found(_renamed(root, given))
 
@@ -187,19 +213,22 @@ class _Search(Moves):
         self._trust = 0.0
         self.adopt(scene)
 
-    def run(self, rounds: int, progress: Callable[[int, int], None] = lambda done, total: None) -> None:
+    def run(
+        self, rounds: int, progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> Steps[None]:
         """Alternate between finding tracks and learning the scene's parameters from them."""
         for k in range(rounds):
             if k:
+                yield 25.0 + 0.02 * len(self.detections)
                 self.adopt(self.learned())
             elif rounds > 1:
                 self.look_near()
             self.worthless = 0.0
-            self.join_generously()
+            yield from self.join_generously()
             # Link probabilities are those of the last round.
             self.worthless = WORTHLESS if k == rounds - 1 else 0.0
-            self.settle(progress, k * SWEEPS, rounds * SWEEPS)
-            self.join_doubles()
+            yield from self.settle(progress, k * SWEEPS, rounds * SWEEPS)
+            yield from self.join_doubles()
         progress(rounds * SWEEPS, rounds * SWEEPS)
 
     def appearance_of(self, identity: NDArray[np.int64]) -> AppearanceEvidence:
@@ -221,7 +250,7 @@ class _Search(Moves):
         from the places alone.
         """
         if self.detections.scans.shape[1]:
-            self.run(ROUNDS)
+            result_of(self.run(ROUNDS))
         else:
             link_by(self.chains, given)
         self.chains.rows["given"] = given
@@ -283,7 +312,7 @@ class _Search(Moves):
         longest = max(_FIRST_GAP, _FIRST_FRAMES * self.packed.frame_seconds)
         return min(self.packed.longest_gap, longest)
 
-    def join_generously(self) -> None:
+    def join_generously(self) -> Steps[None]:
         """Sweep once with free births and deaths.
 
         Two detections alone are seldom worth a birth and a death, so that no track would reach a third;
@@ -296,32 +325,35 @@ class _Search(Moves):
         )
         self.filter_from(0)
         self.remembers = False
-        self.sweep()
+        yield from self.sweep()
         self.packed, self.remembers = packed, True
         self.filter_from(0)
 
-    def join_doubles(self) -> None:
+    def join_doubles(self) -> Steps[None]:
         """Join tracks, or their parts, that are of one person, and settle again."""
+        yield 0.02 * len(self.detections)
         if join_parallel(self.chains, self.packed):
             self.filter_from(0)
-            self.settle()
+            yield from self.settle()
 
     def settle(
         self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
-    ) -> None:
+    ) -> Steps[None]:
         """Sweep to convergence or `SWEEPS` times; report the sweeps ``done`` before and since."""
         for sweep in range(SWEEPS):
             progress(done + sweep, total)
-            if not self.sweep():
+            if not (yield from self.sweep()):
                 break
 
-    def sweep(self) -> int:
+    def sweep(self) -> Steps[int]:
         """Make every move once, from the first frame to the last; return the number of changed frames."""
         self._move += 1
         remember_rest(self.chains, self.packed, self._move)
-        return sum(
-            self.move(first, end) for first, end in zip(self._first.tolist(), self._end.tolist(), strict=True)
-        )
+        changed = 0
+        for first, end in zip(self._first.tolist(), self._end.tolist(), strict=True):
+            yield cost_of_move(end - first, len(self.detections))
+            changed += self.move(first, end)
+        return changed
 
     # -- what came out ---------------------------------------------------------------------------------------
 
