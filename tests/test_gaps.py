@@ -115,6 +115,15 @@ def with_resampled(tracks, hz):
     return with_times_at(tracks, hz)[0], hz, min(one.t[0] for one in tracks)
 
 
+def test_rows_of_several_sensors_at_one_time_are_one_row_of_another_rate():
+    """In any order of their names: times may differ by less than doubles and files resolve."""
+    t = np.round(np.arange(20) / 10.0, 1).repeat(2) + np.tile([0.0, 4e-6], 20)
+    both = gt.Track(1, np.arange(40), t, np.column_stack([t, t]), sensor=np.array(["west", "east"] * 20))
+    (found,) = at_times(*with_resampled(gt.TrackSet((both,)), 10.0))
+    np.testing.assert_array_equal(found.frame, np.arange(20))
+    np.testing.assert_allclose(found.position[:, 0], found.t, atol=1e-5)
+
+
 def test_people_with_times_of_their_own_keep_them():
     """Frames of one number are at several times: those between are as without the other person."""
     own = gt.TrackSet((walk()[np.delete(np.arange(60), [5, 6, 30])],))

@@ -329,12 +329,13 @@ def with_times_at(tracks: TrackSet, hz: float) -> tuple[TrackSet, tuple[str, ...
 
 
 def at_times(tracks: TrackSet, hz: float, origin: float) -> TrackSet:
-    """Select the rows at multiples of 1/hz seconds after ``origin``, and number and time them by these."""
+    """Select a row at each multiple of 1/hz seconds after ``origin``, and number and time them by these."""
 
     def select(track: Track) -> Track:
         ticks = np.round((track.t - origin) * hz)
-        on = np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE
-        return replace(track[on], frame=ticks[on].astype(np.int64), t=np.round(origin + ticks[on] / hz, 9))
+        on = np.flatnonzero(np.abs((track.t - origin) - ticks / hz) <= TIME_TOLERANCE)
+        frame, first = np.unique(ticks[on].astype(np.int64), return_index=True)  # rows of several sensors
+        return replace(track[on[first]], frame=frame, t=np.round(origin + frame / hz, 9))
 
     return tracks.map(select)
 
