@@ -23,6 +23,7 @@ from graphtrack.cli.console import (
 )
 from graphtrack.errors import InputError
 from graphtrack.tracks.display import counted
+from graphtrack.tracks.validation import finite_rows
 
 if TYPE_CHECKING:
     from graphtrack.io.suggestion import Suggestion
@@ -168,7 +169,7 @@ def describe(track: Track) -> dict[str, Any]:
 
     def count(name: str) -> int:
         values = [getattr(track, channel) for channel in (name, f"{name}_likelihood")]
-        known = [np.isfinite(v).reshape(len(track), -1).all(axis=1) for v in values if v is not None]
+        known = [finite_rows(one) for one in values if one is not None]
         return int(np.any(known, axis=0).sum()) if known else 0
 
     return {

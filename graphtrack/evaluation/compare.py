@@ -39,6 +39,7 @@ from graphtrack.smoothing import smooth
 from graphtrack.tracking import track_online
 from graphtrack.tracks.display import counted, html_table, listed
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import finite_rows
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -245,7 +246,7 @@ def _trouble(estimate: Track, track: Track, mask: BoolArray) -> str:
         values = getattr(estimate, name)
         if values is None:
             continue
-        missing = ~np.isfinite(values[mask]).reshape(int(mask.sum()), -1).all(axis=1)
+        missing = ~finite_rows(values[mask])
         if missing.any():
             return f"no {name} at {int(missing.sum())} of {len(missing)} scored frames"
     return ""

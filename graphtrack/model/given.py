@@ -23,6 +23,7 @@ from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
+from graphtrack.tracks.validation import finite_rows
 
 _OF_ESTIMATES = ("velocity", "covariance")
 _OF_TRACKS = ("identity_p", "observed", "true_position", "true_body", "true_head")
@@ -98,7 +99,7 @@ def _rows(track: Track, name: str) -> BoolArray:
     values = channel_of(track, name)
     if values is None:
         return np.zeros(len(track), bool)
-    return np.asarray(np.isfinite(values.reshape(len(track), -1)).all(axis=1))
+    return finite_rows(values)
 
 
 def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from graphtrack.report.content import Card, Chart, DataTable, Section
 from graphtrack.report.style import longest_step
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import finite_rows
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.identity_events import IdentityEvent
@@ -161,11 +162,6 @@ def has_angle(pair: Pair, name: str) -> bool:
     if pair.observation is not None:
         values.append(observed_angle(pair.observation, name))
     return any(value is not None and np.isfinite(value).any() for value in values)
-
-
-def finite_rows(values: FloatArray) -> NDArray[np.bool_]:
-    """Return a mask of the rows of (n, k) values that are entirely finite."""
-    return np.asarray(np.isfinite(values).all(axis=1), dtype=bool)
 
 
 def _at_frames(values: FloatArray, source: Track, target: Track) -> FloatArray:

@@ -24,7 +24,6 @@ from graphtrack.report.html import write_html
 from graphtrack.report.interaction import behaviour_of
 from graphtrack.report.lives import (
     Pair,
-    finite_rows,
     identities_section,
     identity_cards,
     is_associated,
@@ -45,6 +44,7 @@ from graphtrack.report.sensors import sensors_section, shown_sensors
 from graphtrack.report.style import probability_ellipse
 from graphtrack.tracks.sensors import Sensors
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet
+from graphtrack.tracks.validation import finite_rows
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.identity_events import IdentityEvent

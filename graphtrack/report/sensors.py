@@ -10,10 +10,11 @@ import numpy as np
 from graphtrack.association.sensors import Views
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.content import DataTable, Section
-from graphtrack.report.lives import Pair, finite_rows
+from graphtrack.report.lives import Pair
 from graphtrack.report.style import group_colour
 from graphtrack.tracks.sensor_errors import shown_values
 from graphtrack.tracks.sensors import Sensor, Sensors, outline_of
+from graphtrack.tracks.validation import finite_rows
 
 _FEWEST = 3
 """Fewest positions that a field of view is learned from."""

@@ -16,7 +16,7 @@ from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
 from graphtrack.tracks.detections import with_those_between
 from graphtrack.tracks.display import counted
 from graphtrack.tracks.track import Track, TrackSet, to_columns
-from graphtrack.tracks.validation import LARGEST_ID, check_numbers, check_positive, number
+from graphtrack.tracks.validation import LARGEST_ID, check_numbers, check_positive, finite_rows, number
 
 if TYPE_CHECKING:
     from graphtrack.io.read_write import Given
@@ -185,7 +185,7 @@ def interpolated(
 
     NaN more than ``slack`` seconds before the first known value or after the last one.
     """
-    known = np.asarray(np.isfinite(values.reshape(len(t), -1)).all(axis=1))
+    known = finite_rows(values)
     columns = values[known].reshape(known.sum(), -1)
     if not len(columns):
         return np.full((len(at), *values.shape[1:]), np.nan)

@@ -19,7 +19,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks.display import counted, listed
 from graphtrack.tracks.time import TIME_TOLERANCE
 from graphtrack.tracks.track import Track, TrackSet
-from graphtrack.tracks.validation import LARGEST_FRAME, is_number
+from graphtrack.tracks.validation import LARGEST_FRAME, finite_rows, is_number
 
 LONGEST_FILLED = 60.0
 """Seconds of the longest gap that is filled: in a longer one the posterior is uninformative."""
@@ -129,8 +129,7 @@ def _was_observed(track: Track) -> NDArray[np.bool_]:
     channels = ["position", "pixel", "observed_velocity"]
     channels += ["body", "body_axis", "body_likelihood", "head", "head_likelihood"]
     given = [values for name in channels if (values := getattr(track, name)) is not None]
-    known = [np.isfinite(values.reshape(len(track), -1)).all(axis=1) for values in given]
-    found: NDArray[np.bool_] = np.logical_or.reduce(known)
+    found: NDArray[np.bool_] = np.logical_or.reduce([*map(finite_rows, given)])
     return found
 
 

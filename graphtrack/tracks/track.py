@@ -58,6 +58,7 @@ from graphtrack.tracks.validation import (
     TEXT,
     Speeds,
     bounds_of,
+    finite_rows,
     is_sensor_name,
     is_text,
     out_of_bounds,
@@ -696,7 +697,7 @@ def _contents(tracks: Sequence[Track]) -> str:
 
 def _n_known(*channels: np.ndarray | None) -> int:
     """Return the number of frames in which any of the channels is known."""
-    given = [np.isfinite(c.reshape(len(c), -1)).all(axis=1) for c in channels if c is not None]
+    given = [finite_rows(one) for one in channels if one is not None]
     return int(np.logical_or.reduce(given).sum()) if given else 0
 
 

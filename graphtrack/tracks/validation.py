@@ -150,6 +150,12 @@ def check_within(low: float, high: float, **values: float | None) -> None:
             raise InputError(f"{name} = {value!r}", Bounds(low, high).expected)
 
 
+def finite_rows(values: FloatArray) -> NDArray[np.bool_]:
+    """Return (n,) True for rows of values (n, ...) that are entirely finite."""
+    known = np.isfinite(values)
+    return np.asarray(known if known.ndim == 1 else known.reshape(len(known), -1).all(axis=1), dtype=bool)
+
+
 def is_number(value: object) -> bool:
     """Return whether a setting is a real number that a double can hold, and not text or a boolean."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.lives import finite_rows, observed_angle
+from graphtrack.report.lives import observed_angle
 from graphtrack.report.style import ANGLE_COLOURS, NORMAL_95, longest_step, probability_ellipse
 from graphtrack.tracks.display import VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import finite_rows
 from graphtrack.viewer.recording import IntArray, LoggedEntities
 
 GROUND: Final = "ground"

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from graphtrack.report.lives import finite_rows
 from graphtrack.report.sensors import ShownSensor
 from graphtrack.report.style import longest_step, probability_ellipse
 from graphtrack.tracks.display import rgb
 from graphtrack.tracks.track import Track
+from graphtrack.tracks.validation import finite_rows
 from graphtrack.viewer.people import CIRCLE, GROUND
 from graphtrack.viewer.recording import LoggedEntities
 

@@ -13,9 +13,10 @@ from graphtrack.errors import InputError
 from graphtrack.io.atomic import check_place
 from graphtrack.io.sensors import SensorScene
 from graphtrack.report.interaction import behaviour_of
-from graphtrack.report.lives import finite_rows, observed_angle, pair_track
+from graphtrack.report.lives import observed_angle, pair_track
 from graphtrack.report.sensors import shown_sensors
 from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import finite_rows
 from graphtrack.viewer.interaction import arrange_groups, show_forecasts, show_ground, show_groups
 from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import LoggedPeople

@@ -15,7 +15,6 @@ from graphtrack.interaction.attention import Attention, LookSummary, frame_secon
 from graphtrack.interaction.groups import Groups
 from graphtrack.interaction.people import HELD, Place, interpolated
 from graphtrack.report.interaction import GroupSpan
-from graphtrack.report.lives import finite_rows
 from graphtrack.report.style import (
     NEUTRAL_COLOUR,
     finite_runs,
@@ -28,6 +27,7 @@ from graphtrack.report.style import (
 )
 from graphtrack.tracks.display import listed, person_colour, rgb
 from graphtrack.tracks.track import TrackSet
+from graphtrack.tracks.validation import finite_rows
 
 MOST = 40
 """Most groups in a timeline."""

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.report.lives import Pair, finite_rows, pair_tracks
+from graphtrack.report.lives import Pair, pair_tracks
 from graphtrack.report.style import (
     ANGLE_COLOURS,
     NEUTRAL_COLOUR,
@@ -33,6 +33,7 @@ from graphtrack.report.style import (
 )
 from graphtrack.tracks.display import person_colour
 from graphtrack.tracks.track import Track, TrackSet
+from graphtrack.tracks.validation import finite_rows
 
 if TYPE_CHECKING:
     from graphtrack.report.background import Backdrop, GroundImage
