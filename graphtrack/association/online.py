@@ -226,7 +226,8 @@ class History(Saved):
                     self._cost = next(self._steps)
             n, spent = len(self.learns_from.t), 0.0
             moves = LEARNING_MOVES * cost_of_move(n / len(np.unique(self.learns_from.frame)), n)
-            most = max(1e3 * LEARNING_SHARE * seconds, moves)
+            # The first parameters are a guess, with which people are confused: they are learned at once.
+            most = max(1e3 * LEARNING_SHARE * seconds, moves) if self.learnings else np.inf
             while spent == 0.0 or spent + self._cost <= most:
                 spent += self._cost
                 self._cost = next(self._steps)

@@ -218,7 +218,8 @@ function drawLabels(ctx, view, present, theme) {
   ctx.font = "600 12px system-ui, sans-serif"; ctx.lineWidth = 3; ctx.strokeStyle = theme.surface; ctx.fillStyle = theme.ink;
   ctx.lineJoin = "round";
   present.forEach(({ person, state, strong }) => {
-    const [sx, sy] = toScreen(view, state.x, state.y), left = sx + 8, width = ctx.measureText(person.id).width;
+    const [sx, sy] = toScreen(view, state.x, state.y), width = ctx.measureText(person.id).width;
+    const left = sx + 8 + width > view.width && sx > 8 + width ? sx - 8 - width : sx + 8;  // at the right border
     const box = [left, sy + 7, left + width, sy + 19];
     if (!strong && taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) return;
     taken.push(box);
