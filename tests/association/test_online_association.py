@@ -140,10 +140,10 @@ def test_what_is_learned_in_parts_is_what_is_learned_at_once(monkeypatch: pytest
         monkeypatch.setattr(online, "LEARNING_SHARE", share)
         monkeypatch.setattr(online, "LEARNING_MOVES", 0)
         association, learns_from = OnlineAssociation(), None
-        for t, position in crowd(300):
+        for t, position in crowd(600, people=5):
             learns_from = association._history.learns_from or learns_from
             association.update(t, position)
-            if association.learned:
+            if association.learned == 2:  # the first time it learns at once
                 break
         scene = association.scene
         first.append((t, scene.clutter_density, scene.position_std))
@@ -153,6 +153,7 @@ def test_what_is_learned_in_parts_is_what_is_learned_at_once(monkeypatch: pytest
     assert parts == whole and later > at_once + 1.0  # from the same detections
 
 
+@pytest.mark.slow
 def test_a_tracker_that_is_learning_is_saved_and_goes_on() -> None:
     frames, association = [*crowd()], OnlineAssociation()
     states, expected, were_learning = [], [], 0
