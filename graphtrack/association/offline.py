@@ -8,9 +8,8 @@ decreases; a few sweeps suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,28 +91,8 @@ def associate_detections(
     """
     make_association_ready()
     search = _Search(detections, known_values(scene), start)
-    result_of(search.run(rounds, progress))
+    search.run(rounds, progress)
     return search.found(search.identities())
-
-
-Result = TypeVar("Result")
-Steps = Generator[float, None, Result]
-"""Work in steps; before each it yields its expected cost in milliseconds of one slow core, as measured once:
-not by the clock, so that work in parts is the same in each run."""
-
-
-def cost_of_move(detections: float, together: int) -> float:
-    """Return the cost of matching a frame's detections again, of so many together; see `Steps`."""
-    return 0.4 + 1.2e-4 * detections * min(together, 1000)  # those in the frames of the longest gap
-
-
-def result_of(steps: Steps[Result]) -> Result:
-    """Make all steps, and return the result."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return cast(Result, end.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,18 +106,13 @@ class LearnedScene:
     appearance: AppearanceEvidence
 
 
-def learning_steps(detections: Detections, known: Known) -> Steps[LearnedScene]:
+def learn_from_detections(detections: Detections, known: Known) -> LearnedScene:
     """Learn the unknown parameters of a scene from some of its detections, by finding the people in them."""
-    n = len(detections)
-    yield 20.0 + 0.025 * n
     search = _Search(detections, known)
-    yield from search.run(LEARNING_ROUNDS)
-    yield 10.0 + 0.02 * n
+    search.run(LEARNING_ROUNDS)
     scene, identity = search.learned(), search.identities()
-    yield 8.0 + 0.004 * n
     appearance = search.appearance_of(identity)
     search.adopt(scene)
-    yield 10.0
     rates = learn_ground_rates(search.chains, identity)
     return LearnedScene(scene, search.velocities, rates, search.sensor_rates, appearance)
 
@@ -164,8 +138,8 @@ def repair_detections(
     search.begin_with(given)
     for _ in range(ROUNDS):
         search.adopt(search.learned())
-        result_of(search.settle())
-        result_of(search.join_doubles())
+        search.settle()
+        search.join_doubles()
     root, _ = search.roots()
     return search.found(_renamed(root, given))
 
@@ -213,22 +187,19 @@ class _Search(Moves):
         self._trust = 0.0
         self.adopt(scene)
 
-    def run(
-        self, rounds: int, progress: Callable[[int, int], None] = lambda done, total: None
-    ) -> Steps[None]:
+    def run(self, rounds: int, progress: Callable[[int, int], None] = lambda done, total: None) -> None:
         """Alternate between finding tracks and learning the scene's parameters from them."""
         for k in range(rounds):
             if k:
-                yield 25.0 + 0.02 * len(self.detections)
                 self.adopt(self.learned())
             elif rounds > 1:
                 self.look_near()
             self.worthless = 0.0
-            yield from self.join_generously()
+            self.join_generously()
             # Link probabilities are those of the last round.
             self.worthless = WORTHLESS if k == rounds - 1 else 0.0
-            yield from self.settle(progress, k * SWEEPS, rounds * SWEEPS)
-            yield from self.join_doubles()
+            self.settle(progress, k * SWEEPS, rounds * SWEEPS)
+            self.join_doubles()
         progress(rounds * SWEEPS, rounds * SWEEPS)
 
     def appearance_of(self, identity: NDArray[np.int64]) -> AppearanceEvidence:
@@ -250,7 +221,7 @@ class _Search(Moves):
         from the places alone.
         """
         if self.detections.scans.shape[1]:
-            result_of(self.run(ROUNDS))
+            self.run(ROUNDS)
         else:
             link_by(self.chains, given)
         self.chains.rows["given"] = given
@@ -312,7 +283,7 @@ class _Search(Moves):
         longest = max(_FIRST_GAP, _FIRST_FRAMES * self.packed.frame_seconds)
         return min(self.packed.longest_gap, longest)
 
-    def join_generously(self) -> Steps[None]:
+    def join_generously(self) -> None:
         """Sweep once with free births and deaths.
 
         Two detections alone are seldom worth a birth and a death, so that no track would reach a third;
@@ -325,35 +296,32 @@ class _Search(Moves):
         )
         self.filter_from(0)
         self.remembers = False
-        yield from self.sweep()
+        self.sweep()
         self.packed, self.remembers = packed, True
         self.filter_from(0)
 
-    def join_doubles(self) -> Steps[None]:
+    def join_doubles(self) -> None:
         """Join tracks, or their parts, that are of one person, and settle again."""
-        yield 0.02 * len(self.detections)
         if join_parallel(self.chains, self.packed):
             self.filter_from(0)
-            yield from self.settle()
+            self.settle()
 
     def settle(
         self, progress: Callable[[int, int], None] = lambda done, total: None, done: int = 0, total: int = 0
-    ) -> Steps[None]:
+    ) -> None:
         """Sweep to convergence or `SWEEPS` times; report the sweeps ``done`` before and since."""
         for sweep in range(SWEEPS):
             progress(done + sweep, total)
-            if not (yield from self.sweep()):
+            if not self.sweep():
                 break
 
-    def sweep(self) -> Steps[int]:
+    def sweep(self) -> int:
         """Make every move once, from the first frame to the last; return the number of changed frames."""
         self._move += 1
         remember_rest(self.chains, self.packed, self._move)
-        changed = 0
-        for first, end in zip(self._first.tolist(), self._end.tolist(), strict=True):
-            yield cost_of_move(end - first, len(self.detections))
-            changed += self.move(first, end)
-        return changed
+        return sum(
+            self.move(first, end) for first, end in zip(self._first.tolist(), self._end.tolist(), strict=True)
+        )
 
     # -- what came out ---------------------------------------------------------------------------------------
 

@@ -26,13 +26,7 @@ from graphtrack.association.likelihood import (
     unlinked,
 )
 from graphtrack.association.moves import Moves
-from graphtrack.association.offline import (
-    LearnedScene,
-    Steps,
-    cost_of_move,
-    learning_steps,
-    make_association_ready,
-)
+from graphtrack.association.offline import LearnedScene, learn_from_detections, make_association_ready
 from graphtrack.association.rates import SensorRates
 from graphtrack.association.scene import (
     AHEAD,
@@ -100,10 +94,6 @@ RELEARNED = 300.0  # seconds after which they are learned again at the latest
 REMEMBERED = 2000
 """Detections that parameters are learned from, if these are at least as many frames as are needed first."""
 
-LEARNING_SHARE, LEARNING_MOVES = 0.6, 4
-"""Share of the time between frames that the steps of learning after a frame cost, as `Steps` have it, or the
-number of moves of a large crowd where that is more. One step may cost up to 70 ms."""
-
 _ROUNDING = 1e-3  # relative: rounded times change no frame in which parameters are learned
 
 GUESS_SECONDS = 10.0  # weight of the prior of turning: at first all people may walk straight
@@ -115,51 +105,15 @@ _OF_CHAINS = ("t", "frame", "position", "facing", "sensor", "scans")
 _REMEMBERED = (*_OF_CHAINS, "std", "score", "descriptor")
 
 
-@dataclass(frozen=True, eq=False)
-class Remembered:
-    """Final detections (n,) from which parameters are being learned."""
-
-    t: FloatArray  # seconds
-    frame: IntArray
-    position: FloatArray  # (n, 2) metres
-    facing: FloatArray  # (n, 2) radians, body and head; NaN: not observed
-    sensor: IntArray
-    scans: FloatArray  # (n, s) of each sensor so far, or (n, 0) with one
-    std: FloatArray  # declared noise, metres, or NaN
-    score: FloatArray
-    descriptor: FloatArray  # (n, d)
-
-    def steps(self, known: Known, described: tuple[Sensor, ...]) -> Steps[LearnedScene]:
-        """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores, in steps.
-
-        ``described``: descriptions of the sensors so far, or none
-        """
-        channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
-        channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
-        of_sensors: dict[str, Any] = {"sensor": self.sensor, "scans": self.scans}
-        count = self.scans.shape[1]
-        described = described[:count]
-        if count:
-            of_sensors["sensors"] = described
-        detections = Detections(self.frame, self.t, self.position, channels, **of_sensors)
-        if count:
-            views = Views.of(self.position, self.sensor, count, described)
-            detections = with_views(detections, views)
-        return learning_steps(detections, known)
-
-
 class History(Saved):
     """The newest final detections, from which parameters are learned.
 
     What is learned does not depend on decisions that were made before: people are found in these detections
-    once more, with what comes after them. The search is spread over the frames that follow; a state has the
-    detections and the number of its steps, which are made again.
+    once more, with what comes after them.
     """
 
     _saved: ClassVar = {
         **dict.fromkeys(_REMEMBERED, np.ndarray),
-        "learns_from": Remembered | None,
-        "done": int,
         "watched": float,
         "people": float,
         "due": float,
@@ -174,10 +128,6 @@ class History(Saved):
         self.scans = np.zeros((0, 0))
         self.frames, self.people, self.watched = 0, 0.0, 0.0  # frames, person-seconds and seconds so far
         self.due, self.learnings = 0.0, 0
-        self.learns_from: Remembered | None = None
-        self.done = 0  # steps of the search in these
-        self._steps: Steps[LearnedScene] | None = None
-        self._cost = 0.0  # of the next step
 
     def add(self, chains: Chains, notes: Notes, first: int, end: int, step_seconds: float) -> None:
         """Store the detections ``first`` up to ``end``, and drop the oldest beyond the limit."""
@@ -199,44 +149,29 @@ class History(Saved):
 
     def is_due(self) -> bool:
         """Return True if parameters are to be learned: each time that twice as much has been watched."""
-        if self.learns_from is not None:
-            return True
         frames, people = FIRST_LEARNED
         more = 1.0 + _ROUNDING
         enough = self.frames >= frames * max(self.scans.shape[1], 1)
         return enough and self.people * more >= people and self.watched * more >= self.due
 
-    def learned(
-        self, known: Known, seconds: float, described: tuple[Sensor, ...] = ()
-    ) -> LearnedScene | None:
-        """Learn further; return what was learned when the search has ended, else None.
+    def learned(self, known: Known, described: tuple[Sensor, ...] = ()) -> LearnedScene:
+        """Learn the unknown parameters, the maps of rates, and the ratios of appearance and scores.
 
-        Parameters
-        ----------
-        known, described : as in `Remembered.steps`
-        seconds : between frames
+        ``described``: descriptions of the sensors so far, or none
         """
-        if self.learns_from is None:
-            self.due = min(2.0 * self.watched, self.watched + RELEARNED)
-            self.learns_from, self.done = Remembered(**{name: getattr(self, name) for name in _REMEMBERED}), 0
-        try:
-            if self._steps is None:
-                self._steps = self.learns_from.steps(known, described)
-                for _ in range(1 + self.done):
-                    self._cost = next(self._steps)
-            n, spent = len(self.learns_from.t), 0.0
-            moves = LEARNING_MOVES * cost_of_move(n / len(np.unique(self.learns_from.frame)), n)
-            # The first parameters are a guess, with which people are confused: they are learned at once.
-            most = max(1e3 * LEARNING_SHARE * seconds, moves) if self.learnings else np.inf
-            while spent == 0.0 or spent + self._cost <= most:
-                spent += self._cost
-                self._cost = next(self._steps)
-                self.done += 1
-        except StopIteration as end:
-            self.learns_from = self._steps = None
-            self.learnings += 1
-            return replace(end.value, scene=self._with_guess(end.value.scene, known))
-        return None
+        self.learnings += 1
+        self.due = min(2.0 * self.watched, self.watched + RELEARNED)
+        channels = {"position_std": self.std, "score": self.score, "body": self.facing[:, 0]}
+        channels |= {"head": self.facing[:, 1], APPEARANCE: self.descriptor}
+        of_sensors: dict[str, Any] = {"sensor": self.sensor, "scans": self.scans}
+        if self.scans.shape[1]:
+            of_sensors["sensors"] = described
+        detections = Detections(self.frame, self.t, self.position, channels, **of_sensors)
+        if self.scans.shape[1]:
+            views = Views.of(self.position, self.sensor, self.scans.shape[1], described)
+            detections = with_views(detections, views)
+        found = learn_from_detections(detections, known)
+        return replace(found, scene=self._with_guess(found.scene, known))
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
         """Weight the parameters of turning between prior and estimate by time."""
@@ -712,13 +647,11 @@ class OnlineAssociation(Moves, Saved):
         chains, history = self.chains, self._history
         if not len(chains.t):
             return
-        found = None
         if history.is_due():
-            found = history.learned(self.known, self.step_seconds, self._descriptions)
-        if found is not None:
+            found = history.learned(self.known, self._descriptions)
             self.scene, self._velocities = found.scene, found.velocities
             self._ground_rates, self._appearance = found.rates, found.appearance
-            self._rates = found.sensor_rates.extended(len(self.sensors), self._descriptions)
+            self._rates = found.sensor_rates.extended(len(self.sensors))
             self.chains = self._appearance.in_chains(chains, self._notes.descriptor)
         elif not history.learnings:
             of_sensors: dict[str, Any] = {"sensor": chains.sensor, "scans": chains.scans}

@@ -24,16 +24,16 @@ class Search(offline._Search):
         super().__init__(*args, **options)
         self.remembers = False
 
-    def join_generously(self):
-        yield from super().join_generously()
+    def join_generously(self) -> None:
+        super().join_generously()
         self.remembers = False
 
 
 @pytest.fixture(scope="module")
 def settled() -> Search:
     search = Search(packed_square(np.random.default_rng(0), people=30, frames=30)[0], {})
-    offline.result_of(search.join_generously())
-    offline.result_of(search.settle())
+    search.join_generously()
+    search.settle()
     return search
 
 
@@ -95,7 +95,6 @@ def crowds() -> dict[str, Detections]:
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", others_slow(crowds(), ["street"]))
 def test_what_is_kept_from_sweep_to_sweep_changes_nobody(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     detections = crowds()[name]

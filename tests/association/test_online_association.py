@@ -3,7 +3,6 @@
 import gc
 import json
 import resource
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,6 @@ from crossing_people import frames_of, idf1, run_online, street
 from selection import others_slow
 
 import graphtrack as gt
-from graphtrack.association import online
-from graphtrack.association.offline import result_of
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.tracks.detections import Detections
 from graphtrack.tracks.scene import SceneParameters
@@ -125,53 +122,6 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     assert refused.returncode == 2 and "associate" in refused.stderr
 
 
-def crowd(frames: int = 60, people: int = 8, seed: int = 3) -> Iterator[tuple[float, np.ndarray]]:
-    """Frames of detections at 10 Hz: people who walk straight, 10 % missed, and one false detection each."""
-    rng = np.random.default_rng(seed)
-    start, velocity = rng.uniform(0.0, 12.0, (people, 2)), rng.normal(0.0, 0.8, (people, 2))
-    for k in range(frames):
-        seen = start + 0.1 * k * velocity + rng.normal(0.0, 0.05, (people, 2))
-        yield 0.1 * k, np.vstack([seen[rng.random(people) < 0.9], rng.uniform(0.0, 12.0, (1, 2))])
-
-
-def test_what_is_learned_in_parts_is_what_is_learned_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    first = []
-    for share in (0.0, 1e9):  # one step a frame, and all
-        monkeypatch.setattr(online, "LEARNING_SHARE", share)
-        monkeypatch.setattr(online, "LEARNING_MOVES", 0)
-        association, learns_from = OnlineAssociation(), None
-        for t, position in crowd(600, people=5):
-            learns_from = association._history.learns_from or learns_from
-            association.update(t, position)
-            if association.learned == 2:  # the first time it learns at once
-                break
-        scene = association.scene
-        first.append((t, scene.clutter_density, scene.position_std))
-        if learns_from is not None:
-            assert result_of(learns_from.steps({}, ())).scene.clutter_density == scene.clutter_density
-    (later, *parts), (at_once, *whole) = first
-    assert parts == whole and later > at_once + 1.0  # from the same detections
-
-
-@pytest.mark.slow
-def test_a_tracker_that_is_learning_is_saved_and_goes_on() -> None:
-    frames, association = [*crowd()], OnlineAssociation()
-    states, expected, were_learning = [], [], 0
-    for t, position in frames:
-        states.append(json.dumps(association.state()))
-        were_learning += association._history.learns_from is not None
-        expected.append(association.update(t, position))
-    assert were_learning > 3 and association.learned >= 2
-    last = json.dumps(association.state())
-    for cut in range(15, len(frames), 4):
-        again = OnlineAssociation.from_state(json.loads(states[cut]))
-        for (t, position), decision in zip(frames[cut:], expected[cut:], strict=True):
-            found = again.update(t, position)
-            np.testing.assert_array_equal(found.identity, decision.identity)
-            assert found.revised == decision.revised
-        assert json.dumps(again.state()) == last
-
-
 @pytest.mark.slow
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:
     rng, density, sizes = np.random.default_rng(0), [], []
@@ -219,7 +169,6 @@ def test_the_memory_of_a_tracker_stays_flat(capsys: pytest.CaptureFixture[str]) 
     assert used[-1] - used[0] < 8.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hz", "noise"),
     others_slow([(hz, std) for hz in (5.0, 10.0, 50.0) for std in (0.01, 0.1)], [(5.0, 0.1)]),
