@@ -107,16 +107,14 @@ def test_no_step_of_twenty_people_takes_much_longer_than_others(
         spent.append(1e3 * (time.thread_time() - start))
     median, late = np.quantile(spent[100:], (0.5, 0.99))
     show(figures, "twenty, 25 Hz", f"chain, constants {constants}", median, late)
-    # With learned constants some steps solve the window of a person once more, with others.
-    assert late < (3.0 if constants == "default" else 5.0) * median
+    assert late < 3.0 * median
 
 
-def test_a_step_costs_little_more_than_with_gtsams_fixed_lag(record: Record, figures: Figures) -> None:
+def test_a_step_costs_less_than_with_gtsams_fixed_lag(record: Record, figures: Figures) -> None:
     """At 10 frames a second, 20 in the window, all in turn; GTSAM's own with the factors of the model."""
     model, track = Model("joint"), walk(500, seed=1, noise=0.1, angle_kappa=2.0)
     isam2, fixed, chained = (
-        OnlineSmoother(model, engine=engine, lag=LAG, constants="default")
-        for engine in ("isam2", "fixed-lag", "chain")
+        OnlineSmoother(model, engine=engine, lag=LAG) for engine in ("isam2", "fixed-lag", "chain")
     )
     theirs = GtsamFixedLag(model)
     spent = np.array(
@@ -136,8 +134,7 @@ def test_a_step_costs_little_more_than_with_gtsams_fixed_lag(record: Record, fig
     record("online step, fixed-lag / isam2 window, processor time", ours / mine)
     record("online step, isam2 window / chain, processor time", mine / compiled)
     # The fixed lag iterates each observation to convergence; GTSAM's own updates once.
-    # iSAM2 eliminates by QR, exact where rows are less than 5 ms apart, GTSAM's own by Cholesky.
-    assert mine < 1.4 * peer and ours < 2.0 * peer
+    assert mine < peer and ours < 1.4 * peer
 
 
 @pytest.mark.parametrize(
