@@ -16,7 +16,7 @@ from graphtrack.io.options import SHORT, ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.tracks.cells import WILD
 from graphtrack.tracks.display import shortened
-from graphtrack.tracks.schema import BOXES, CLASS, is_column
+from graphtrack.tracks.schema import CLASS, box_form, is_column
 
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
     key: tuple(names.split())
@@ -250,8 +250,8 @@ def box_columns(names: Iterable[str]) -> dict[str, str]:
         fitting += [name for name, (word, _) in known.items() if word == _CORNER.get(key)]
         if fitting:  # a name of a class before its number
             found[key] = min(fitting, key=lambda name: (known[name][0].endswith("id"), fitting.index(name)))
-    form = next((form for form in BOXES if set(form) <= found.keys()), None)
-    if form is None:
+    form = box_form(found)
+    if not form:
         return {}
     return {key: name for key, name in found.items() if key in (*form, "confidence", CLASS)}
 
@@ -344,5 +344,5 @@ def names_tracks(source: Source, options: ReadOptions) -> bool:
     names = names_of(source)
     found, _ = with_synonyms(names, options, source.path)
     there = {*names, *(found.columns if isinstance(found.columns, Mapping) else ())}
-    placed = {"x", "y"} <= there or any(set(form) <= there for form in BOXES)
+    placed = {"x", "y"} <= there or bool(box_form(there))
     return found is not options and placed and bool({"t", "frame"} & there)

@@ -28,7 +28,7 @@ from graphtrack.streaming.clock import StreamClock
 from graphtrack.streaming.described import DescribedSensors
 from graphtrack.streaming.moving import MOST_POSES, POSE, POSE_KEYS, Group, MovingSensors, Waiting
 from graphtrack.tracks.cells import Layout, box_of
-from graphtrack.tracks.schema import BOX_KEYS, BOXES, CLASS, NAMES, in_order, is_column, numeric, unknown
+from graphtrack.tracks.schema import BOX_KEYS, CLASS, NAMES, box_form, in_order, is_column, numeric, unknown
 from graphtrack.tracks.table import ANGLES, IN_DEGREES
 from graphtrack.tracks.time import DAY, NANOSECONDS_IN, NotIso, TimeScale, from_text, is_iso
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, STATE
@@ -524,12 +524,9 @@ class StreamNames:
 
     def _with_boxes(self, given: list[str]) -> StreamNames:
         """Return a copy for rows with boxes in place of positions."""
-        names = set(given)
-        if {self._name("x"), self._name("u")} & names:
+        if {self._name("x"), self._name("u")} & set(given):
             return self
-        return replace(
-            self, box=next((form for form in BOXES if {self._name(key) for key in form} <= names), ())
-        )
+        return replace(self, box=box_form([key for key in BOX_KEYS if self._name(key) in given]))
 
     def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
         """Return the names of a resumed stream, given the settings of its state."""

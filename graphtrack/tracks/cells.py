@@ -20,11 +20,11 @@ from graphtrack.geometry.conventions import AngleConvention
 from graphtrack.tracks.display import counted, listed, shortened
 from graphtrack.tracks.schema import (
     BOX_KEYS,
-    BOXES,
     CLASS,
     COMMON_NAMES,
     ESTIMATED,
     TEXTS,
+    box_form,
     is_column,
     repeated,
     unknown,
@@ -791,8 +791,8 @@ def _boxes(columns: dict[str, NDArray[Any]]) -> dict[str, FloatArray] | None:
     """
     given = {key: columns.pop(key) for key in BOX_KEYS if key in columns}
     confidence = columns.pop("confidence", None)
-    form = next((form for form in BOXES if set(form) <= given.keys()), None)
-    if form is None or {"x", "u", DEGREES[0]} & columns.keys():
+    form = box_form(given)
+    if not form or {"x", "u", DEGREES[0]} & columns.keys():
         return None
     box = np.column_stack(box_of(form, given))
     box[np.isnan(box).any(axis=1)] = np.nan

@@ -301,3 +301,8 @@ def expected_group(group: Sequence[str]) -> str:
 
 NO_CLASS = ("class likelihoods that are all 0", "one above 0")
 """Found and expected where all class likelihoods of an orientation are 0."""
+
+
+def box_form(names: Collection[str]) -> tuple[str, ...]:
+    """Return the first form of `BOXES` of which all columns are among some names; empty if there is none."""
+    return next((form for form in BOXES if set(form) <= set(names)), ())
