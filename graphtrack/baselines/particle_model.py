@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import Model
+from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
 from graphtrack.model.terms.couplings import (
     BODY_FREE,
     HEAD_FREE,
@@ -23,12 +24,10 @@ from graphtrack.model.terms.couplings import (
 )
 from graphtrack.model.terms.motion import HEAD_RATE, IntentionalMotion, Motion, head_rates, steered_step
 from graphtrack.model.terms.orientation import (
-    HIDDEN,
     BodyDynamics,
     BodyLikelihood,
     HeadDynamics,
     HeadLikelihood,
-    less_hidden,
 )
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.packages import special
@@ -203,13 +202,14 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
         weights, outliers = np.ones((known.sum(), 1)), likelihood.outliers(name)
         _fill(found, known, weights, angle[known, None], own[known], outliers)
     if classes is not None:
-        classes = less_hidden(classes, track.input(HIDDEN[name]), likelihood)
+        uniform = likelihood.outliers(name, by_class=True)
+        seconds = seconds_since_classes(track, name)
+        classes = class_evidence(classes, track.input(HIDDEN[name]), seconds, uniform, likelihood)
         usable = np.asarray(np.isfinite(classes).all(axis=1))
         usable[usable] = classes[usable].sum(axis=1) > 0.0
         scores = classes[usable] / classes[usable].sum(axis=1, keepdims=True)
         centres = np.broadcast_to(class_centres(size), scores.shape)
         concentration = np.full(len(scores), class_kappa(size))
-        uniform = likelihood.outliers(name, by_class=True)
         _fill(found, usable, scores, centres, concentration, uniform)
         if pose == "closest":
             found.closest[usable] = True

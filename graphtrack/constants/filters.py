@@ -104,10 +104,15 @@ def position_variance(track: Track, parameters: Parameters, camera: GroundCamera
     likelihood = parameters.likelihood
     variance = likelihood.position_stds(track.axis_std, len(track)) ** 2
     if camera is not None and track.pixel is not None and is_in_image(track, parameters, camera):
-        squares = np.square(camera.ground_jacobian(track.pixel)).sum(axis=(1, 2))
-        in_image = np.isfinite(squares)
-        variance[in_image] = 0.5 * likelihood.pixel_std**2 * squares[in_image]
+        of_pixels = pixel_variance(track.pixel, parameters, camera)
+        variance = np.where(np.isfinite(of_pixels), of_pixels, variance)
     return variance
+
+
+def pixel_variance(pixel: FloatArray, parameters: Parameters, camera: GroundCamera) -> FloatArray:
+    """Return the variances (n,) on the ground of positions in the image, m², the mean of both axes."""
+    squares = np.square(camera.ground_jacobian(pixel)).sum(axis=(1, 2))
+    return np.asarray(0.5 * parameters.likelihood.pixel_std**2 * squares)
 
 
 def turning_evidence(
@@ -461,11 +466,12 @@ def mean_of(values: Any, shares: Any) -> float:
 def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None:
     """Take an observation into the filters of a person.
 
-    ``row`` (8,) is the time since the previous in seconds, x, y, variance, body, its κ, head, its κ; NaN or 0
-    without. ``memory`` (candidates,) is overwritten.
+    ``row`` (10,) is the time since the previous in seconds, x, y, variance, and for body and for head the
+    angle, its κ, and 1 if it is evidence of couplings; NaN or 0 without. ``memory`` (candidates,) is
+    overwritten.
     """
     shares, found = filters.shares, filters.means
-    dt, x, y, variance, angles = row[0], row[1], row[2], row[3], row[4:8]
+    dt, x, y, variance, body_row, head_row = row[0], row[1], row[2], row[3], row[4:7], row[7:10]
     is_placed = math.isfinite(x) and math.isfinite(y)
     for k in range(len(rules.densities)):
         path = filters.path[k]
@@ -486,8 +492,8 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
         spread += memory[k] * filters.path[k, 6]
     found[0] = mean_of(rules.densities, memory[:q])
     for n, (bank, prior) in enumerate(((filters.body, rules.body), (filters.head, rules.head))):
-        kappa = angles[2 * n + 1]
-        one = von_mises_of(angles[2 * n], kappa)
+        kappa = row[5 + 3 * n]
+        one = von_mises_of(row[4 + 3 * n], kappa)
         for k in range(d):
             bank[k, 0], bank[k, 1] = diffused(bank[k, 0], bank[k, 1], rules.diffusions[k] * dt)
             if kappa > 0.0:
@@ -501,7 +507,7 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
     weight = 1.0
     if 0.0 < dt < rules.correlation_time:
         weight = dt / rules.correlation_time
-    body, head = von_mises_of(angles[0], angles[1]), von_mises_of(angles[2], angles[3])
+    body, head = von_mises_of(body_row[0], body_row[1]), von_mises_of(head_row[0], head_row[1])
     for k in range(len(rules.couplings)):
         own = filters.coupled[k]
         bx, by = diffused(own[0], own[1], found[1] * dt)
@@ -510,17 +516,17 @@ def observe(filters: Filters, rules: FilterRules, row: Any, memory: Any) -> None
             # The direction of an uncertain velocity.
             follows = 1.0 / (1.0 / follows + spread / (speed * speed))
             bx, by = bx + follows * vx / speed, by + follows * vy / speed
-        if angles[1] > 0.0:
+        if body_row[1] > 0.0:
             bx, by, density = observed_angle(bx, by, body, rules.outliers[0])
-            own[4] += density
+            own[4] += body_row[2] * density
         hx, hy = diffused(own[2], own[3], found[2] * dt)
         follows, size = weight * rules.couplings[k, 1], math.sqrt(bx * bx + by * by)
         if follows > 0.0 and size > 0.0:
             follows = 1.0 / (1.0 / follows + 1.0 / size)
             hx, hy = hx + follows * bx / size, hy + follows * by / size
-        if angles[3] > 0.0:
+        if head_row[1] > 0.0:
             hx, hy, density = observed_angle(hx, hy, head, rules.outliers[1])
-            own[4] += density
+            own[4] += head_row[2] * density
         own[0], own[1], own[2], own[3] = bx, by, hx, hy
     set_posterior(filters.coupled, 4, rules.coupling, shares)
 
@@ -539,7 +545,7 @@ REHEARSAL = Rehearsal("learned constants", _rehearse, 3.5)
 def _rehearse_online() -> None:
     one = np.ones(1)
     rules = FilterRules(one, one, np.ones((1, 2)), one, one, one, one, 1.0, 0.1, 0.4, np.zeros(2))
-    observe(Filters.of(rules)[0], rules, np.ones(8), np.zeros(1))
+    observe(Filters.of(rules)[0], rules, np.ones(10), np.zeros(1))
     limit_angles(np.zeros((1, N, N)))
 
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, observe
+from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, observe, pixel_variance
 from graphtrack.constants.personal import (
     Constants,
     alternatives_of,
@@ -45,11 +45,11 @@ from graphtrack.inference.online import OnlineSolver, Snapshot
 from graphtrack.inference.state import Estimate, Status, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
+from graphtrack.model.classes import HIDDEN, SINCE
 from graphtrack.model.given import angle_of_classes
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
-from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
@@ -89,12 +89,18 @@ def _rules_of(
 class Learner:
     """The constants of one person, by the observations so far.
 
+    Parameters
+    ----------
+    prior : the population of the scene
+    camera : of the scene, for observations in pixels
+
     Attributes
     ----------
     alternatives : the couplings that are possible
     """
 
-    def __init__(self, model: Model, prior: Population) -> None:
+    def __init__(self, model: Model, prior: Population, camera: GroundCamera | None = None) -> None:
+        self._camera = camera
         self.alternatives, self._places = alternatives_of(model), list(places_of(model))
         self._parameters, coupling = model.parameters, model.parameters.coupling
         self._couplings = tuple(
@@ -123,7 +129,10 @@ class Learner:
         x, y = (math.nan, math.nan) if observation.position is None else observation.position
         std = observation.axis_std
         std = likelihood.position_std if std is None else likelihood.position_scale * std
-        row = [0.0 if math.isnan(self._t) else t - self._t, x, y, std * std]
+        variance = std * std
+        if observation.pixel is not None and self._camera is not None and likelihood.image_frame:
+            variance = pixel_variance(np.array([observation.pixel]), self._parameters, self._camera).item()
+        row = [0.0 if math.isnan(self._t) else t - self._t, x, y, variance]
         row += _direction_of(observation, "body", self._parameters)
         row += _direction_of(observation, "head", self._parameters)
         self._before = self._numbers.copy(), self._t
@@ -172,21 +181,24 @@ class Learner:
         self._t = math.nan if state["t"] is None else real(state["t"])
 
 
-def _direction_of(observation: Observation, name: str, parameters: Parameters) -> tuple[float, float]:
-    """Return the observed angle of "body" or "head" and its concentration; 0 without."""
+def _direction_of(observation: Observation, name: str, parameters: Parameters) -> tuple[float, float, float]:
+    """Return the observed angle of "body" or "head", its concentration, 0 without, and 1 of an angle itself.
+
+    Class likelihoods are no evidence of couplings: a classifier's errors persist.
+    """
     classes = getattr(observation, f"{name}_likelihood")
     if classes is not None:
-        share = observation.inputs.get(HIDDEN[name])  # type: ignore[index]
-        hidden = np.array([math.nan if share is None else share], dtype=np.float64)
-        by_class, sharp = angle_of_classes(less_hidden(np.array([classes]), hidden, parameters.likelihood))
-        return by_class.item(), sharp.item()
+        known = (observation.inputs.get(one[name], math.nan) for one in (HIDDEN, SINCE))  # type: ignore[index]
+        hidden, seconds = (np.array([value], dtype=np.float64) for value in known)
+        by_class, sharp = angle_of_classes(np.array([classes]), hidden, seconds, parameters.likelihood)
+        return by_class.item(), sharp.item(), 0.0
     angle = getattr(observation, name)
     if angle is None:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     kappa, likelihood = getattr(observation, f"{name}_kappa"), parameters.likelihood
     if kappa is None:
-        return angle, getattr(likelihood, f"{name}_kappa")
-    return angle, kappa / getattr(likelihood, f"{name}_scale") ** 2
+        return angle, getattr(likelihood, f"{name}_kappa"), 1.0
+    return angle, kappa / getattr(likelihood, f"{name}_scale") ** 2, 1.0
 
 
 class Newest(NamedTuple):
@@ -261,7 +273,7 @@ class OnlineSmoother:
             "max_iterations": max_iterations,
         }
         prior = (population_of(constants) if learns else None) or Population()
-        self.learner = Learner(chosen, prior) if learns else None
+        self.learner = Learner(chosen, prior, camera) if learns else None
         first = OnlineSolver(chosen, **self._options, further=[ONLINE_REHEARSAL] * learns)
         if learns:
             make_ready("the learned constants", ONLINE_REHEARSAL)
@@ -540,7 +552,9 @@ class OnlineSmoother:
             self._solvers = {0: OnlineSolver.from_state(state, self._chosen, **self._options)}
         else:
             try:
-                self.learner = learner = Learner(self._chosen, Population.from_dict(state["population"]))
+                self.learner = learner = Learner(
+                    self._chosen, Population.from_dict(state["population"]), self.camera
+                )
                 learner.restore(state["learned"])
                 saved = {integer(k): one for k, one in state["solvers"]}
                 if not saved or not set(saved) <= set(range(len(learner.weights))):

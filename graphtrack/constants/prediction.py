@@ -24,20 +24,24 @@ _PLACES = {"body": BODY, "head": HEAD}
 class HeldOut:
     """The observed angles of some tracks, each half of which is left out in turn: cross-validation.
 
+    Class likelihoods are not held out: the errors of a classifier persist, so that those of neighbouring
+    frames predict each other, right or wrong.
+
     Attributes
     ----------
-    has_angles : whether any track has an observed angle or class likelihoods
+    has_angles : whether any track has an observed angle
     """
 
     def __init__(self, tracks: Sequence[Track], parameters: Parameters) -> None:
         self._tracks, self._likelihood = tracks, parameters.likelihood
         self._observed = [
-            {name: observed_direction(track, name, parameters) for name in _PLACES} for track in tracks
+            {name: observed_direction(_without_classes(track), name, parameters) for name in _PLACES}
+            for track in tracks
         ]
         self.has_angles = any(kappa.any() for one in self._observed for _, kappa in one.values())
 
     def without(self, half: int) -> list[Track]:
-        """Return the tracks without one of the `HALVES` of their angles and class likelihoods."""
+        """Return the tracks without one of the `HALVES` of their angles."""
         found = []
         for track, observed in zip(self._tracks, self._observed, strict=True):
             changed: dict[str, Any] = {}
@@ -70,6 +74,10 @@ class HeldOut:
                     density = log_blurred(angle[some] - estimated[some], kappa[some], sure)
                     found[m] += with_outliers(density, self._likelihood.outliers(name)).sum()
         return found
+
+
+def _without_classes(track: Track) -> Track:
+    return replace(track, body_likelihood=None, head_likelihood=None)
 
 
 def _is_held_out(kappa: FloatArray, half: int) -> NDArray[np.bool_]:

@@ -51,7 +51,13 @@ from graphtrack.inference.state import (
 from graphtrack.kernels.compilation import Rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.given import is_idle, never_used
-from graphtrack.model.observation import OwnParameters, differs, on_the_ground, seconds_between
+from graphtrack.model.observation import (
+    OwnParameters,
+    differs,
+    on_the_ground,
+    seconds_between,
+    since_classes,
+)
 from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
 from graphtrack.model.terms.walls import WALL_INPUT, StaysInside, with_walls_at
 from graphtrack.saved import DAMAGES, damaged, integer
@@ -219,8 +225,12 @@ class OnlineSolver:
                 )
 
     def usable(self, observation: Observation) -> Observation:
-        """Return the checked observation, with the position of its pixel; InputError as `update`."""
-        return on_the_ground(checked(observation), self.camera)
+        """Return the checked observation, with what follows from its pixel, and from the steps before.
+
+        These are the position, and the seconds since class likelihoods. InputError as `update`.
+        """
+        placed = on_the_ground(checked(observation), self.camera)
+        return since_classes(placed, self._smoother.steps)
 
     @staticmethod
     def update_together(

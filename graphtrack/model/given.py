@@ -16,10 +16,10 @@ from graphtrack.geometry.angles import (
     vectors_of,
 )
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
 from graphtrack.model.model import Model
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
-from graphtrack.model.terms.orientation import HIDDEN, less_hidden
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of
@@ -114,18 +114,26 @@ def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple
     found = np.full(len(track), np.nan) if angle is None else angle.copy()
     if classes is not None:
         hidden = track.input(HIDDEN[name])  # type: ignore[index]
-        by_class, sharp = angle_of_classes(less_hidden(classes, hidden, parameters.likelihood))
+        seconds = seconds_since_classes(track, name)  # type: ignore[arg-type]
+        by_class, sharp = angle_of_classes(classes, hidden, seconds, parameters.likelihood)
         known = np.isfinite(by_class)
         found[known], kappa[known] = by_class[known], sharp[known]
     return found, np.where(np.isfinite(found), kappa, 0.0)
 
 
-def angle_of_classes(classes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k)."""
+def angle_of_classes(
+    classes: FloatArray, hidden: FloatArray, seconds: FloatArray, likelihood: LikelihoodParameters
+) -> tuple[FloatArray, FloatArray]:
+    """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k).
+
+    With the doubts of the model: ``hidden`` and ``seconds`` as in `class_evidence`, and outliers.
+    """
+    uniform = likelihood.class_outlier_probability
+    classes = class_evidence(classes, hidden, seconds, uniform, likelihood)
     vectors = vectors_of(None, classes, len(classes))
     known = np.isfinite(vectors).all(axis=1)
     angle, kappa = np.full(len(classes), np.nan), np.zeros(len(classes))
-    length = np.linalg.norm(vectors[known], axis=1)
+    length = (1.0 - uniform) * np.linalg.norm(vectors[known], axis=1)
     blurred = length * mean_resultant_length(class_kappa(classes.shape[1]))
     angle[known], kappa[known] = direction(vectors[known]), concentration_from_resultant(blurred)
     return angle, kappa

@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,10 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.kernels.layout import Function, VariableName
 from graphtrack.model import program
+from graphtrack.model.classes import Orientation
 from graphtrack.model.costs import VARIABLES, CostFunction
 from graphtrack.model.derivation import Derived, derived
 from graphtrack.model.packing import PackedTracks
-
-Orientation = Literal["body", "head"]
 
 
 @dataclass(frozen=True, eq=False)

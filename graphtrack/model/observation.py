@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -14,6 +14,7 @@ import numpy as np
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.classes import SINCE, TOGETHER, with_seconds_since_classes
 from graphtrack.packages import gtsam
 from graphtrack.tracks.sensors import Sensor, changed_channels
 from graphtrack.tracks.track import Track
@@ -244,7 +245,7 @@ def chain(track: Track, camera: GroundCamera | None = None, first: int = 0) -> l
     present = np.isfinite(track.position).all(axis=1)
     start = int(np.argmax(present)) if present.any() else 0
     steps: list[Step] = []
-    for k, observation in enumerate(observations(track)):
+    for k, observation in enumerate(observations(with_seconds_since_classes(track))):
         previous = steps[-1] if steps else None
         steps.append(
             Step(
@@ -257,6 +258,21 @@ def chain(track: Track, camera: GroundCamera | None = None, first: int = 0) -> l
             )
         )
     return steps
+
+
+def since_classes(observation: Observation, steps: Sequence[Step]) -> Observation:
+    """Return an observation with the seconds since class likelihoods of earlier steps, as inputs `SINCE`."""
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, column in SINCE.items():
+        channel = f"{name}_likelihood"
+        if getattr(observation, channel) is None or column in observation.inputs:
+            continue
+        for step in reversed(steps):
+            before = step.observation
+            if before.t < observation.t - TOGETHER and getattr(before, channel) is not None:
+                found[column] = observation.t - before.t
+                break
+    return replace(observation, inputs={**observation.inputs, **found}) if found else observation
 
 
 def seconds_between(previous: Step | None, observation: Observation) -> float | None:

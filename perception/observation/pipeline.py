@@ -14,7 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
-from graphtrack.model.terms.orientation import HIDDEN
+from graphtrack.model.classes import HIDDEN
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels

@@ -19,7 +19,7 @@ from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
 from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.model import Model
-from graphtrack.model.terms.orientation import HIDDEN
+from graphtrack.model.classes import HIDDEN
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import graphtrack as gt
+from graphtrack.model.classes import class_evidence
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
-from graphtrack.model.terms.orientation import less_hidden
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.detection.boxes import PersonBox
@@ -187,17 +187,18 @@ def test_a_hidden_share_is_an_outlier_share(share: float, gain: float, outliers:
     """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − g·h)."""
     classes = np.array([[0.7, 0.2, 0.05, 0.05]])
     likelihood = LikelihoodParameters(hidden_outliers=gain)
-    doubtful = less_hidden(classes, np.array([share]), likelihood)
+    unknown = np.array([np.nan])
+    doubtful = class_evidence(classes, np.array([share]), unknown, outliers, likelihood)
     total = 1.0 - (1.0 - outliers) * (1.0 - gain * share)
     np.testing.assert_allclose(
         (1.0 - outliers) * doubtful + outliers / 4.0, (1.0 - total) * classes + total / 4.0, atol=1e-12
     )
-    assert less_hidden(classes, np.array([np.nan]), likelihood) is classes
+    assert class_evidence(classes, unknown, unknown, outliers, likelihood) is classes
 
 
 def test_a_share_outside_of_0_to_1_is_one_error() -> None:
     with pytest.raises(gt.InputError, match=r"hidden share of 1\.3"):
-        less_hidden(np.ones((1, 8)), np.array([1.3]), LikelihoodParameters())
+        class_evidence(np.ones((1, 8)), np.array([1.3]), np.array([np.nan]), 0.05, LikelihoodParameters())
 
 
 @pytest.mark.slow

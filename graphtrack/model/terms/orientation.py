@@ -8,22 +8,22 @@ determines: a track's first, and those that the model does not have.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.layout import Field
+from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
 from graphtrack.model.costs import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.kernel import Kernel, Orientation
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks, of_alike
-from graphtrack.model.parameters import LikelihoodParameters, Parameters
+from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
 from graphtrack.packages import gtsam, special, sympy
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
@@ -189,28 +189,9 @@ def _fields(name: Variable) -> tuple[Field, ...]:
 
 def _reads(name: Variable) -> tuple[str, ...]:
     own = f"likelihood.{name}_kappa", f"likelihood.{name}_scale"
-    doubts = f"{name}_outliers", "class_outlier_probability", "hidden_outliers"
+    of_classes = "class_outlier_probability", "class_correlation_time", "hidden_outliers"
+    doubts = f"{name}_outliers", *of_classes
     return (*own, *(f"likelihood.{doubt}" for doubt in doubts))
-
-
-HIDDEN: Mapping[Orientation, str] = {"body": "body_hidden", "head": "head_hidden"}
-"""Orientation → the input with the share of its picture that is hidden in each frame, 0…1; NaN: none."""
-
-
-def less_hidden(classes: FloatArray, hidden: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
-    """Return class likelihoods (n, k) with the doubt about a picture of which a share (n,) is hidden.
-
-    With probability ``hidden_outliers`` times the share they say nothing: Chen et al. (2011, §5) name
-    occlusion as a cause of wrong poses. InputError for a share outside of 0…1.
-    """
-    known = hidden[np.isfinite(hidden)]
-    if known.size and not (known.min() >= 0.0 and known.max() <= 1.0):
-        raise InputError(f"a hidden share of {known[(known < 0) | (known > 1)][0]:g}", "a number from 0 to 1")
-    if likelihood.hidden_outliers == 0.0 or not known.any():
-        return classes
-    informed = 1.0 - likelihood.hidden_outliers * np.nan_to_num(hidden)
-    uniform = classes.sum(axis=1, keepdims=True) / classes.shape[1]
-    return np.asarray(informed[:, None] * classes + (1.0 - informed)[:, None] * uniform)
 
 
 class _PoseLikelihood(Term):
@@ -269,13 +250,19 @@ class _PoseLikelihood(Term):
         classes = packed.channel(f"{self.name}_likelihood")
         if classes is None:
             return None
-        classes = less_hidden(classes, packed.input(HIDDEN[self.name]), self.parameters.likelihood)
-        uniform = self.parameters.likelihood.outliers(self.name, by_class=True)
+        likelihood = self.parameters.likelihood
+        uniform = likelihood.outliers(self.name, by_class=True)
+        seconds = np.concatenate([seconds_since_classes(track, self.name) for track in packed.tracks])
+        classes = class_evidence(classes, packed.input(HIDDEN[self.name]), seconds, uniform, likelihood)
         total = classes.sum(axis=1, keepdims=True)
-        # As multiples of 1/2π. Scores that are all zero are uninformative; an unobserved row stays NaN.
-        share = np.divide((1.0 - uniform) * classes, total, out=0.0 * classes, where=total > 0.0)
-        outliers = np.where(total > 0.0, uniform, 1.0)
-        heights = np.hstack([share / special.i0e(class_kappa(classes.shape[1])), outliers])
+        # Scores that are all zero are uninformative; an unobserved row stays NaN.
+        share = np.divide(classes, total, out=0.0 * classes, where=total > 0.0)
+        # What all classes have in common is uniform. As a mixture of their densities it would have ripples,
+        # and a curvature as if it said something.
+        common = share.min(axis=1, keepdims=True)
+        own = (1.0 - uniform) * (share - common) / special.i0e(class_kappa(classes.shape[1]))
+        flat = np.where(total > 0.0, uniform + (1.0 - uniform) * classes.shape[1] * common, 1.0)
+        heights = np.hstack([own, flat])  # as multiples of 1/2π
         return heights / heights.sum(axis=1, keepdims=True)
 
 
