@@ -5,6 +5,7 @@ Source for the angles: Chen, Heili & Odobez 2011, §3.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -283,11 +284,16 @@ class GroundCamera:
         )
 
     @classmethod
-    def from_scale(cls, metres_per_pixel: float, *, nadir: ArrayLike | None = None) -> GroundCamera:
-        """A view from straight above: x = s·u, y = −s·v; ``nadir`` (2,) is the pixel below the camera."""
-        s = metres_per_pixel
-        centre = None if nadir is None else np.asarray(nadir, dtype=float) * [s, -s]
-        return cls(np.diag([s, -s, 1.0]), centre_on_ground=centre)
+    def from_scale(
+        cls, metres_per_pixel: float, *, tilt: float = math.pi / 2.0, nadir: ArrayLike | None = None
+    ) -> GroundCamera:
+        """A view from far away, ``tilt`` radians down: x = s·u, y = −s·v / sin(tilt).
+
+        By default from straight above; ``nadir`` (2,) is then the pixel below the camera.
+        """
+        s, deep = metres_per_pixel, metres_per_pixel / math.sin(tilt)
+        centre = None if nadir is None else np.asarray(nadir, dtype=float) * [s, -deep]
+        return cls(np.diag([s, -deep, 1.0]), centre_on_ground=centre)
 
     def resized(self, factor: float) -> GroundCamera:
         """The same camera for its image at ``factor`` times the size."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -26,7 +27,7 @@ PERSON_HEIGHT = 1.7
 
 _LARGEST_SETTING = 1e7
 _DISTORTION = tuple(f"Distortion{name}" for name in ("K1", "K2", "P1", "P2", "K3"))
-_PER_PIXEL = "MetresPerPixel"
+_PER_PIXEL, _TILT = "MetresPerPixel", "TiltDegrees"
 _FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))  # any of these names means a fisheye lens
 _QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
@@ -184,13 +185,17 @@ def read_calibration(path: str | Path) -> GroundCamera:
 
     x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0. With a line ``FisheyeK1 = number`` (to
     ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model. A line
-    ``MetresPerPixel = number`` alone is a view from above at that scale.
+    ``MetresPerPixel = number`` alone is a view from above at that scale, and with ``TiltDegrees = number``
+    one from far away that looks down by that angle.
     """
     values = _read_settings(path)
-    if set(values) == {_PER_PIXEL}:
-        if not values[_PER_PIXEL] > 0.0:
-            raise InputError(f"a scale of {values[_PER_PIXEL]:g} m a pixel", "more than 0", path=path)
-        return GroundCamera.from_scale(values[_PER_PIXEL])
+    if _PER_PIXEL in values and values.keys() <= {_PER_PIXEL, _TILT}:
+        scale, tilt = values[_PER_PIXEL], values.get(_TILT, 90.0)
+        if not scale > 0.0:
+            raise InputError(f"a scale of {scale:g} m a pixel", "more than 0", path=path)
+        if not 0.0 < tilt <= 90.0:
+            raise InputError(f"a tilt of {tilt:g}°", "above 0 and up to 90", path=path)
+        return GroundCamera.from_scale(scale, tilt=math.radians(tilt))
 
     def take(*names: str) -> list[float]:
         for name in names:
@@ -258,9 +263,10 @@ def write_calibration(
     _write_settings(path, values)
 
 
-def write_scale(path: str | Path, metres_per_pixel: float) -> None:
-    """Write a scale without perspective that `read_calibration` reads."""
-    _write_settings(path, {_PER_PIXEL: metres_per_pixel})
+def write_scale(path: str | Path, metres_per_pixel: float, tilt: float = math.pi / 2.0) -> None:
+    """Write a scale without perspective that `read_calibration` reads; ``tilt`` in radians."""
+    tilted = {} if tilt == math.pi / 2.0 else {_TILT: math.degrees(tilt)}
+    _write_settings(path, {_PER_PIXEL: metres_per_pixel, **tilted})
 
 
 def _write_settings(path: str | Path, values: Mapping[str, float]) -> None:

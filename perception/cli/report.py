@@ -293,9 +293,9 @@ class _Run:
 
     def find_ground(self, given: Path | None, fitted: Sequence[str]) -> None:
         """Stage 2: the camera, given (with notes on how it was ``fitted``) or estimated."""
-        from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
         from perception.ground.calibration import FoundScale, found_view
+        from perception.ground.scale import ViewScale
 
         place = self.folder.file("calibration")
 
@@ -308,8 +308,8 @@ class _Run:
             if isinstance(found, FoundScale):
                 return [
                     f"no camera is known ({found.reason}), scale only: positions are pixels times a scale at "
-                    f"which the median box is {self.person_height:g} m high, without perspective; directions "
-                    "are approximate"
+                    f"which the median box is {self.person_height:g} m high, {found.scale.described()}; "
+                    "directions are approximate"
                 ]
             found.write(place)
             return [f"the camera is estimated, {found.described()}", *found.notes]
@@ -322,8 +322,7 @@ class _Run:
             self.camera = read_calibration(place)
         else:
             self.to_scale = True
-            height = float(np.median([item.box[3] for item in self.people]))
-            self.camera = GroundCamera.from_scale(self.person_height / height)
+            self.camera = ViewScale.of([item.box for item in self.people], self.person_height).camera
 
     def adapt_models(self, adapt: bool) -> None:
         """Stage 3: the camera's own models."""

@@ -37,6 +37,7 @@ from perception.ground.fitting import (
     lens_of,
     posterior,
 )
+from perception.ground.scale import ViewScale
 from perception.images.pixels import intersection_over_union
 
 _OVERLAP = 0.3
@@ -217,20 +218,20 @@ class FoundScale:
 
     Attributes
     ----------
-    metres_per_pixel : at which the median box has the height of a person
+    scale : at which the median box has the height of a person
     boxes : their number
     reason : why there is no perspective
     """
 
-    metres_per_pixel: float
+    scale: ViewScale
     boxes: int
     reason: str
     notes: tuple[str, ...] = ()
 
     @property
     def camera(self) -> GroundCamera:
-        """Return the view from above at this scale."""
-        return GroundCamera.from_scale(self.metres_per_pixel)
+        """Return the view at this scale."""
+        return self.scale.camera
 
     def write(self, path: str | Path) -> None:
         """Write a calibration that `graphtrack.io.cameras.read_calibration` reads.
@@ -240,13 +241,13 @@ class FoundScale:
         InputError
             If the path cannot be written to.
         """
-        write_scale(path, self.metres_per_pixel)
+        write_scale(path, self.scale.metres_per_pixel, self.scale.tilt)
 
     def described(self) -> str:
         """Describe the scale and its reason."""
         return (
-            f"scale only, {self.metres_per_pixel:.3g} m a pixel without perspective, from {self.boxes} "
-            f"boxes: {self.reason}"
+            f"scale only, {self.scale.metres_per_pixel:.3g} m a pixel, {self.scale.described()}, from "
+            f"{self.boxes} boxes: {self.reason}"
         )
 
 
@@ -363,7 +364,7 @@ def found_view(
     if not boxes:
         raise InputError("no boxes of people", "at least one person")
     _check_size(boxes, size)
-    scale = person_height / float(np.median([item.box[3] for item in boxes]))
+    scale = ViewScale.of([item.box for item in boxes], person_height)
     kept = np.flatnonzero(complete_boxes(np.array([item.box for item in boxes], float), size))
     tracks = people_of(boxes)
     chain = chains_of(boxes, tracks)[tracks]

@@ -15,10 +15,12 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
 from graphtrack.model.classes import HIDDEN
+from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, box_joints, boxes_by_frame, foot_point, points_of
+from perception.ground.scale import FREE, ViewScale
 from perception.ground.upright import LeaningPose, LeaningView, leaning_pose_in, upright_picture
 from perception.ground.views import Ground, MovingCamera, View, view_in
 from perception.images.frames import Clock, Frame, seconds
@@ -394,6 +396,8 @@ def channels_of(
                 placed.setdefault(name, np.empty((len(items), *values.shape[1:])))[rows] = values
     inputs = dict(zip(HIDDEN.values(), np.array([item.hidden for item in items], float).T, strict=True))
     inputs[CUT] = np.array([item.cut for item in items], float)
+    if ViewScale.is_assumed(ground):
+        inputs[BODY_FREE] = np.full(len(items), FREE)
     if projection is not None and all(item.appearance is not None for item in items):
         inputs[APPEARANCE] = projection(np.array([item.appearance for item in items], np.uint8))
     scores = np.array([item.score for item in items], float)  # None is NaN

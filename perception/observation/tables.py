@@ -17,14 +17,15 @@ from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
-from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.model import Model
 from graphtrack.model.classes import HIDDEN
+from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
+from perception.ground.scale import ViewScale
 from perception.ground.views import Ground
 from perception.images.frames import Clock
 from perception.observation.hidden import CUT, is_too_wide
@@ -174,7 +175,9 @@ def _channels(
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
     fields: dict[str, Any] = dict(known)
-    inputs = {name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values(), CUT) if name in fields}
+    inputs = {
+        name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values(), CUT, BODY_FREE) if name in fields
+    }
     score = fields.pop("score")
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
 
@@ -199,14 +202,14 @@ def scaled_camera(frames: Mapping[int, FrameObservation], *, causal: bool) -> Gr
     InputError
         If there are no observations.
     """
-    heights: list[float] = []
+    boxes: list[tuple[float, float, float, float]] = []
     for number in sorted(frames):
-        heights += [item.height for item in frames[number].people]
-        if causal and heights:
+        boxes += [item.full or item.box for item in frames[number].people]
+        if causal and boxes:
             break
-    if not heights:
+    if not boxes:
         raise InputError("a video without people", "at least one person")
-    return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
+    return ViewScale.of(boxes).camera
 
 
 _CUT_FROM = 0.02  # shares beyond the border that are reported

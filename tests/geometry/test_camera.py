@@ -1,3 +1,4 @@
+import math
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -228,6 +229,13 @@ def test_a_fisheye_is_kept_resized_and_written(tmp_path: Path) -> None:
 def test_a_written_scale_is_read_and_a_negative_one_is_refused(tmp_path):
     write_scale(tmp_path / "scale.ci", 0.02)
     assert read_calibration(tmp_path / "scale.ci") == GroundCamera.from_scale(0.02)
+    write_scale(tmp_path / "scale.ci", 0.02, tilt=math.radians(30.0))
+    tilted = read_calibration(tmp_path / "scale.ci")
+    np.testing.assert_allclose(tilted.image_to_ground([100.0, 50.0]), [2.0, -2.0], rtol=1e-9)
+    assert tilted.is_scale
+    (tmp_path / "scale.ci").write_text("MetresPerPixel = 0.02\nTiltDegrees = 0\n")
+    with pytest.raises(InputError, match=r"a tilt of 0°"):
+        read_calibration(tmp_path / "scale.ci")
     write_scale(tmp_path / "scale.ci", -0.02)
     with pytest.raises(InputError, match=r"a scale of -0\.02 m a pixel"):
         read_calibration(tmp_path / "scale.ci")
