@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.associate import associate
+from graphtrack.constants.personal import is_learned
 from graphtrack.errors import InputError
 from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
@@ -436,9 +437,8 @@ def estimated(
     if method in FILTERS:
         words = with_references(f"Tracks were estimated by {_FILTERED[method]}.")
     else:
-        offline = method == "smoother"
-        engine = engine_of(model) if offline else "online" if method == "chain" else method
-        constants = "learned" if offline else "the defaults"
+        engine = engine_of(model) if method == "smoother" else "online" if method == "chain" else method
+        constants = "learned" if is_learned(None, model) else "the defaults"
         words = methods_text(model, engine, constants=constants, summary=tracks.summary, failed=len(bad))
     notes = [f"estimates by `{method}`: {chosen.information}", *lines]
     return Estimated(placed.with_tracks(good), notes, methods_lines(*words))
