@@ -6,13 +6,13 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.associate import associate
-from graphtrack.constants.personal import is_learned
 from graphtrack.errors import InputError
 from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
@@ -23,6 +23,7 @@ from graphtrack.model.classes import HIDDEN
 from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
+from graphtrack.tracking import track_online
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
 from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
@@ -430,15 +431,18 @@ def estimated(
     else:
         good, bad = [], []
         for track in placed:
-            good.append(chosen.run(track, camera))
+            # The errors of boxes persist, and to a filter they look like motion: constants are not learned.
+            online = partial(track_online, track, model, lag=2.0, camera=camera, constants="default")
+            good.append(chosen.run(track, camera) if method in FILTERS else online(engine=method))
             advance(len(track))
     if not good:
         raise InputError("no track that can be estimated", "people who are observed for longer")
     if method in FILTERS:
         words = with_references(f"Tracks were estimated by {_FILTERED[method]}.")
     else:
-        engine = engine_of(model) if method == "smoother" else "online" if method == "chain" else method
-        constants = "learned" if is_learned(None, model) else "the defaults"
+        offline = method == "smoother"
+        engine = engine_of(model) if offline else "online" if method == "chain" else method
+        constants = "learned" if offline else "the defaults"
         words = methods_text(model, engine, constants=constants, summary=tracks.summary, failed=len(bad))
     notes = [f"estimates by `{method}`: {chosen.information}", *lines]
     return Estimated(placed.with_tracks(good), notes, methods_lines(*words))
