@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import Model
-from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
+from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.terms.couplings import (
     BODY_FREE,
     HEAD_FREE,
@@ -203,8 +203,8 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
         _fill(found, known, weights, angle[known, None], own[known], outliers)
     if classes is not None:
         uniform = likelihood.outliers(name, by_class=True)
-        seconds = seconds_since_classes(track, name)
-        classes = class_evidence(classes, track.input(HIDDEN[name]), seconds, uniform, likelihood)
+        weight = class_weights(track, name, likelihood)
+        classes = class_evidence(classes, track.input(HIDDEN[name]), weight, uniform, likelihood)
         usable = np.asarray(np.isfinite(classes).all(axis=1))
         usable[usable] = classes[usable].sum(axis=1) > 0.0
         scores = classes[usable] / classes[usable].sum(axis=1, keepdims=True)

@@ -45,11 +45,12 @@ from graphtrack.inference.online import OnlineSolver, Snapshot
 from graphtrack.inference.state import Estimate, Status, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
-from graphtrack.model.classes import HIDDEN, SINCE
-from graphtrack.model.given import angle_of_classes
+from graphtrack.model.classes import persistence
+from graphtrack.model.given import observed_direction
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
+from graphtrack.model.term import one_row
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 
@@ -182,16 +183,16 @@ class Learner:
 
 
 def _direction_of(observation: Observation, name: str, parameters: Parameters) -> tuple[float, float, float]:
-    """Return the observed angle of "body" or "head", its concentration, 0 without, and 1 of an angle itself.
+    """Return the observed angle of "body" or "head", its concentration, and 1 if it is evidence of couplings.
 
-    Class likelihoods are no evidence of couplings: a classifier's errors persist.
+    The concentration is 0 without an observation. Class likelihoods whose errors persist are no evidence.
     """
     classes = getattr(observation, f"{name}_likelihood")
     if classes is not None:
-        known = (observation.inputs.get(one[name], math.nan) for one in (HIDDEN, SINCE))  # type: ignore[index]
-        hidden, seconds = (np.array([value], dtype=np.float64) for value in known)
-        by_class, sharp = angle_of_classes(np.array([classes]), hidden, seconds, parameters.likelihood)
-        return by_class.item(), sharp.item(), 0.0
+        row = one_row(observation)
+        by_class, sharp = observed_direction(row, name, parameters)
+        times = persistence(row, name, parameters.likelihood)  # type: ignore[arg-type]
+        return by_class.item(), sharp.item(), float(not times.any())
     angle = getattr(observation, name)
     if angle is None:
         return 0.0, 0.0, 0.0

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, log_blurred, with_outliers
 from graphtrack.kernels.layout import BODY, HEAD
+from graphtrack.model.classes import PERSISTENCE, persistence
 from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks.track import Track
@@ -24,24 +25,24 @@ _PLACES = {"body": BODY, "head": HEAD}
 class HeldOut:
     """The observed angles of some tracks, each half of which is left out in turn: cross-validation.
 
-    Class likelihoods are not held out: the errors of a classifier persist, so that those of neighbouring
-    frames predict each other, right or wrong.
+    Class likelihoods whose errors persist are not held out: those of neighbouring frames predict each other,
+    right or wrong.
 
     Attributes
     ----------
-    has_angles : whether any track has an observed angle
+    has_angles : whether any track has an observed angle, or class likelihoods with independent errors
     """
 
     def __init__(self, tracks: Sequence[Track], parameters: Parameters) -> None:
         self._tracks, self._likelihood = tracks, parameters.likelihood
         self._observed = [
-            {name: observed_direction(_without_classes(track), name, parameters) for name in _PLACES}
+            {name: observed_direction(_independent(track, parameters), name, parameters) for name in _PLACES}
             for track in tracks
         ]
         self.has_angles = any(kappa.any() for one in self._observed for _, kappa in one.values())
 
     def without(self, half: int) -> list[Track]:
-        """Return the tracks without one of the `HALVES` of their angles."""
+        """Return the tracks without one of the `HALVES` of their angles and class likelihoods."""
         found = []
         for track, observed in zip(self._tracks, self._observed, strict=True):
             changed: dict[str, Any] = {}
@@ -76,8 +77,14 @@ class HeldOut:
         return found
 
 
-def _without_classes(track: Track) -> Track:
-    return replace(track, body_likelihood=None, head_likelihood=None)
+def _independent(track: Track, parameters: Parameters) -> Track:
+    """Return the track without class likelihoods whose errors persist."""
+    changed: dict[str, Any] = {
+        f"{name}_likelihood": None
+        for name in PERSISTENCE
+        if persistence(track, name, parameters.likelihood).any()
+    }
+    return replace(track, **changed) if changed else track
 
 
 def _is_held_out(kappa: FloatArray, half: int) -> NDArray[np.bool_]:

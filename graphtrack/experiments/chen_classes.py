@@ -25,7 +25,6 @@ from graphtrack.experiments.chen_joint import (
     draw_errors,
     errors_of,
     estimated_errors,
-    frame_by_frame,
     most_likely_error,
     published_table,
 )
@@ -43,6 +42,7 @@ from graphtrack.experiments.harness import (
 from graphtrack.geometry.angles import FloatArray, class_centres, likelihood_at
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
+from graphtrack.model import Model
 from graphtrack.report.style import new_figure
 from graphtrack.simulation.degrade import add_class_likelihoods, add_noise, confusion_matrix
 from graphtrack.simulation.sampling import simulate
@@ -82,8 +82,7 @@ def image_scores(data: str, tracks: TrackSet, classify: Callable[[TrackSet], Tra
     for method, (by_image, options) in OPTIONS.items():
         given = answered.tracks if by_image else turned
         for preset in PRESETS:
-            model = frame_by_frame(preset)
-            estimates = [particle_filter(one, model, camera=camera, options=options).track for one in given]
+            estimates = [particle_filter(one, preset, camera=camera, options=options).track for one in given]
             errors = [errors_of(*pair) for pair in zip(estimates, tracks, strict=True)]
             found |= by_angle((preset, method), errors)
     return Scores(data, len(tracks), found, [unit_of(track) for track in tracks])
@@ -154,7 +153,7 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
         errors["observation", "", angle] = known.errors["observation", "", angle]
         for name, method in KNOWN.items():
             errors[_PRESET, name, angle] = known.errors[_PRESET, method, angle]
-    models = {(_PRESET, name): frame_by_frame(_PRESET) for name in OTHER_ENGINES}
+    models = {(_PRESET, name): Model(_PRESET) for name in OTHER_ENGINES}
     errors |= estimated_errors(tracks, OTHER_ENGINES, models, progress)
     groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHER_ENGINES)}
     return detail("Every engine, with joint", [replace(known, errors=errors)], groups, rng)
@@ -252,8 +251,7 @@ def _parts(settings: Settings) -> Parts:
     yield (
         "Mean absolute error per person, mean over people, with its 95 % bootstrap interval over styles of "
         "motion capture. Every method gets the same frames and default parameters. Online estimates use the "
-        f"past alone; the graphs keep {LAG:g} s open. The likelihoods of each frame count once "
-        "(`class_correlation_time = 0`), as in the paper."
+        f"past alone; the graphs keep {LAG:g} s open."
     )
     yield (
         "closest class: eq. 13–14, the score of the class that is closest to a particle; turned once: their "

@@ -7,7 +7,7 @@ source alike, on people of that source who are not reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -108,19 +108,9 @@ def by_angle(
     return {(*key, angle): np.array(errors)[:, i] for i, angle in enumerate(ANGLES)}
 
 
-def frame_by_frame(preset: str) -> Model:
-    """Return a preset with default parameters, where class likelihoods of each frame count once.
-
-    So they do in the paper, and so simulated ones are meant.
-    """
-    parameters = Model(preset).parameters
-    likelihood = replace(parameters.likelihood, class_correlation_time=0.0)
-    return Model(preset, replace(parameters, likelihood=likelihood))
-
-
 def default_models(methods: Collection[str]) -> dict[tuple[str, str], Model]:
-    """(preset, method) → the model with default parameters, `frame_by_frame`."""
-    models = {preset: frame_by_frame(preset) for preset in PRESETS}
+    """(preset, method) → the model with default parameters."""
+    models = {preset: Model(preset) for preset in PRESETS}
     return {(preset, method): models[preset] for preset in PRESETS for method in methods}
 
 
@@ -256,7 +246,7 @@ def fitted_models(tracks: TrackSet, methods: Methods, evaluations: int, progress
             progress(len(tracks))
             return float(np.mean(errors))
 
-        return fitted_model(frame_by_frame(preset), FITTED[preset], error, evaluations)
+        return fitted_model(Model(preset), FITTED[preset], error, evaluations)
 
     found: dict[tuple[str, str], Model] = {}
     for preset, (method, (_, estimator)) in product(FITTED, methods.items()):

@@ -1,8 +1,8 @@
 """Class likelihoods as evidence: pictures that are hidden, and errors of a classifier that persist.
 
 Frames that follow each other closely show nearly the same picture, and a classifier makes the same error in
-them. A frame counts w = min(1, Δt/T) times, with the time Δt since the likelihoods before and the integral T
-of the errors' autocorrelation; in Chen et al. (2011, eq. 13–14) each counts once (T = 0).
+them. Rows declare how long: T, the integral of the errors' autocorrelation. They count w = min(1, Δt/T)
+times, with the time Δt since the likelihoods before; in Chen et al. (2011, eq. 13–14) T = 0.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ Orientation = Literal["body", "head"]
 HIDDEN: Mapping[Orientation, str] = {"body": "body_hidden", "head": "head_hidden"}
 """Orientation → the input with the share of its picture that is hidden in each frame, 0…1; NaN: none."""
 
+PERSISTENCE: Mapping[Orientation, str] = {"body": "body_persistence", "head": "head_persistence"}
+"""Orientation → the input with the time T in seconds; NaN: the model's ``class_correlation_time``."""
+
 SINCE: Mapping[Orientation, str] = {"body": "body_class_dt", "head": "head_class_dt"}
 """Orientation → the input with the seconds since its class likelihoods before, of a frame by itself."""
-
 
 TOGETHER = 2e-3
 """Seconds. Class likelihoods that are nearer are of several sensors at one time, and count each in full."""
@@ -56,10 +58,25 @@ def with_seconds_since_classes(track: Track) -> Track:
     return replace(track, inputs={**track.inputs, **found}) if found else track
 
 
+def persistence(track: Track, name: Orientation, likelihood: LikelihoodParameters) -> FloatArray:
+    """Return the times T (n,) in seconds, declared or the model's; InputError for a negative one."""
+    declared = track.input(PERSISTENCE[name])
+    if np.any(declared < 0.0):
+        found = f"input {PERSISTENCE[name]!r} of {declared[declared < 0.0][0]:g} s in track {track.track_id}"
+        raise InputError(found, "0 or more")
+    return np.where(np.isfinite(declared), declared, likelihood.class_correlation_time)
+
+
+def class_weights(track: Track, name: Orientation, likelihood: LikelihoodParameters) -> FloatArray:
+    """Return how often (n,) the class likelihoods of each row count: min(1, Δt/T)."""
+    seconds, time = seconds_since_classes(track, name), persistence(track, name, likelihood)
+    return np.divide(seconds, time, out=np.ones(len(track)), where=seconds < time)
+
+
 def class_evidence(
     classes: FloatArray,
     hidden: FloatArray,
-    seconds: FloatArray,
+    weight: FloatArray,
     uniform: float,
     likelihood: LikelihoodParameters,
 ) -> FloatArray:
@@ -71,7 +88,7 @@ def class_evidence(
     Parameters
     ----------
     hidden : (n,) share of the picture that is hidden, NaN where unknown
-    seconds : (n,) since the likelihoods before, NaN at the first
+    weight : (n,) as from `class_weights`
     uniform : outlier share ε of the likelihoods
     """
     known = hidden[np.isfinite(hidden)]
@@ -80,13 +97,12 @@ def class_evidence(
     if likelihood.hidden_outliers > 0.0 and known.any():
         informed = 1.0 - likelihood.hidden_outliers * np.nan_to_num(hidden)
         classes = _with_uniform(classes, informed[:, None])
-    weight = likelihood.class_weights(seconds)
     if np.all(weight == 1.0):
         return classes
     total = classes.sum(axis=1, keepdims=True)
     shares = np.divide(classes, total, out=np.zeros_like(classes), where=total > 0.0)
     tempered = _with_uniform(shares, 1.0 - uniform) ** weight[:, None]
-    return np.asarray(np.where(weight[:, None] < 1.0, np.where(total > 0.0, tempered, classes), classes))
+    return np.asarray(np.where((weight[:, None] < 1.0) & (total > 0.0), tempered, classes))
 
 
 def _with_uniform(classes: FloatArray, informed: FloatArray | float) -> FloatArray:

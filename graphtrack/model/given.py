@@ -16,7 +16,7 @@ from graphtrack.geometry.angles import (
     vectors_of,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
+from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.model import Model
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
@@ -114,22 +114,22 @@ def observed_direction(track: Track, name: str, parameters: Parameters) -> tuple
     found = np.full(len(track), np.nan) if angle is None else angle.copy()
     if classes is not None:
         hidden = track.input(HIDDEN[name])  # type: ignore[index]
-        seconds = seconds_since_classes(track, name)  # type: ignore[arg-type]
-        by_class, sharp = angle_of_classes(classes, hidden, seconds, parameters.likelihood)
+        weight = class_weights(track, name, parameters.likelihood)  # type: ignore[arg-type]
+        by_class, sharp = angle_of_classes(classes, hidden, weight, parameters.likelihood)
         known = np.isfinite(by_class)
         found[known], kappa[known] = by_class[known], sharp[known]
     return found, np.where(np.isfinite(found), kappa, 0.0)
 
 
 def angle_of_classes(
-    classes: FloatArray, hidden: FloatArray, seconds: FloatArray, likelihood: LikelihoodParameters
+    classes: FloatArray, hidden: FloatArray, weight: FloatArray, likelihood: LikelihoodParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return directions (n,) and concentrations (n,) of the mean vectors of class likelihoods (n, k).
 
-    With the doubts of the model: ``hidden`` and ``seconds`` as in `class_evidence`, and outliers.
+    With the doubts of the model: ``hidden`` and ``weight`` as in `class_evidence`, and outliers.
     """
     uniform = likelihood.class_outlier_probability
-    classes = class_evidence(classes, hidden, seconds, uniform, likelihood)
+    classes = class_evidence(classes, hidden, weight, uniform, likelihood)
     vectors = vectors_of(None, classes, len(classes))
     known = np.isfinite(vectors).all(axis=1)
     angle, kappa = np.full(len(classes), np.nan), np.zeros(len(classes))

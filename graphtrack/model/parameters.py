@@ -107,13 +107,9 @@ class CouplingParameters(_Group):
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:
         """Return a coupling's weight at frames ``dt`` seconds after the previous (0, None: the first)."""
-        return _weights(np.asarray(0.0 if dt is None else dt, dtype=float), self.correlation_time)
-
-
-def _weights(dt: FloatArray, correlation_time: float) -> FloatArray:
-    """Return min(1, Δt/T) for each time (n,), 1 where it is 0 or NaN."""
-    short = (dt > 0.0) & (dt < correlation_time)
-    return np.divide(dt, correlation_time, out=np.ones_like(dt), where=short)
+        dt = np.asarray(0.0 if dt is None else dt, dtype=float)
+        short = (dt > 0.0) & (dt < self.correlation_time)
+        return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
 
 
 @dataclass(frozen=True)
@@ -135,8 +131,9 @@ class LikelihoodParameters(_Group):
     body_scale, head_scale : multiple of the declared 1-σ of angles; κ is divided by its square
     body_outliers, head_outliers : outlier share ε of observed angles
     class_outlier_probability : outlier share ε of class likelihoods; a larger one of angles counts
-    class_correlation_time : time T over which errors of a classifier persist, s: class likelihoods Δt seconds
-        after those before count min(1, Δt/T) times; 0: each counts once, as in Chen et al. 2011
+    class_correlation_time : time T over which errors of a classifier persist, s, where rows declare none
+        (inputs ``body_persistence``, ``head_persistence``): class likelihoods Δt seconds after those before
+        count min(1, Δt/T) times; 0: each counts once, as in Chen et al. 2011
     hidden_outliers : outlier share of class likelihoods of a body or head that is hidden as a whole (inputs
         ``body_hidden``, ``head_hidden``): 1 − (1 − ε)·(1 − share · hidden)
     """
@@ -155,7 +152,7 @@ class LikelihoodParameters(_Group):
     body_outliers: float = _share(0.0, 0.999)
     head_outliers: float = _share(0.0, 0.999)
     class_outlier_probability: float = _share(0.05, 0.999)
-    class_correlation_time: float = _number(1.0, 0.0, 1e3, "s", learned=False)
+    class_correlation_time: float = _number(0.0, 0.0, 1e3, "s", learned=False)
     hidden_outliers: float = _share(0.0, 1.0)
 
     def __post_init__(self) -> None:
@@ -174,10 +171,6 @@ class LikelihoodParameters(_Group):
         """Outlier share ε of observed angles, or of class likelihoods, of body or head."""
         own: float = getattr(self, f"{name}_outliers")
         return max(own, self.class_outlier_probability) if by_class else own
-
-    def class_weights(self, seconds: FloatArray) -> FloatArray:
-        """Return the weights (n,) of class likelihoods ``seconds`` (n,) after those before; NaN: unknown."""
-        return _weights(seconds, self.class_correlation_time)
 
     def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
         """1-σ (n,) in metres of positions; ``given``: the declared values, NaN or None where missing."""

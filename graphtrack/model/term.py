@@ -183,12 +183,12 @@ class FramePacker:
     def _packed(
         self, observation: Observation, dt: float, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
-        packed = PackedTracks.within(_track_of(observation), camera, dt, starts, self.types)
+        packed = PackedTracks.within(one_row(observation), camera, dt, starts, self.types)
         return filled(packed, self._terms)
 
 
 @lru_cache(4)
-def _track_of(observation: Observation) -> Track:
+def one_row(observation: Observation) -> Track:
     """An observation as a track: once for all terms that are packed separately."""
     given = {name: getattr(observation, name) for name in CHANNELS}
     position = given.pop("position") or (np.nan, np.nan)

@@ -14,7 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
-from graphtrack.model.classes import HIDDEN
+from graphtrack.model.classes import HIDDEN, PERSISTENCE
 from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE
@@ -137,6 +137,10 @@ def _head_in_crop(box: tuple[float, float, float, float], points: FloatArray) ->
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 _LIKELIHOODS = "body_likelihood", "head_likelihood"
+
+PERSIST = 1.0
+"""Seconds over which errors of body and head are alike: a back that is taken for a front stays so. On Town
+Centre's minute half of it and twice as much are nearly as good."""
 
 
 @dataclass(frozen=True)
@@ -396,6 +400,7 @@ def channels_of(
                 placed.setdefault(name, np.empty((len(items), *values.shape[1:])))[rows] = values
     inputs = dict(zip(HIDDEN.values(), np.array([item.hidden for item in items], float).T, strict=True))
     inputs[CUT] = np.array([item.cut for item in items], float)
+    inputs |= {name: np.full(len(items), PERSIST) for name in PERSISTENCE.values()}
     if ViewScale.is_assumed(ground):
         inputs[BODY_FREE] = np.full(len(items), FREE)
     if projection is not None and all(item.appearance is not None for item in items):

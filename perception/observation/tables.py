@@ -19,7 +19,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
 from graphtrack.model import Model
-from graphtrack.model.classes import HIDDEN
+from graphtrack.model.classes import HIDDEN, PERSISTENCE
 from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
@@ -178,7 +178,9 @@ def _channels(
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
     fields: dict[str, Any] = dict(known)
     inputs = {
-        name: fields.pop(name) for name in (APPEARANCE, *HIDDEN.values(), CUT, BODY_FREE) if name in fields
+        name: fields.pop(name)
+        for name in (APPEARANCE, *HIDDEN.values(), CUT, *PERSISTENCE.values(), BODY_FREE)
+        if name in fields
     }
     score = fields.pop("score")
     return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)

@@ -144,11 +144,7 @@ def test_the_position_likelihood_is_the_models(robust: str, pixels: bool) -> Non
 @pytest.mark.parametrize("classes", [False, True])
 def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> None:
     likelihood = LikelihoodParameters(
-        body_outliers=outliers,
-        head_outliers=outliers,
-        class_outlier_probability=outliers,
-        head_kappa=6.0,
-        class_correlation_time=0.0,
+        body_outliers=outliers, head_outliers=outliers, class_outlier_probability=outliers, head_kappa=6.0
     )
     track = walk(5, classes=classes)
     job = prepare(track, Model("joint", Parameters(likelihood=likelihood)), None, "smooth", False)
@@ -168,7 +164,7 @@ def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> No
 @pytest.mark.parametrize("view", [camera(), camera(mirrored=True), GroundCamera(camera().homography)])
 def test_poses_in_the_image_are_judged_at_the_particles_position(view: GroundCamera) -> None:
     track = walk(5, classes=True)
-    job = prepare(track, each_frame("joint"), view, "closest", True)
+    job = prepare(track, Model("joint"), view, "closest", True)
     rng = np.random.default_rng(1)
     particles = np.zeros((300, 6))
     particles[:, :2] = rng.uniform(-2.0, 2.0, (300, 2))
@@ -341,14 +337,9 @@ def resultants(densities: np.ndarray) -> np.ndarray:
     return densities @ np.exp(2j * np.pi * np.arange(size) / size) * 2.0 * np.pi / size
 
 
-def each_frame(preset: str) -> Model:
-    """A preset where the class likelihoods of each frame count once."""
-    return Model(preset, Parameters(likelihood=LikelihoodParameters(class_correlation_time=0.0)))
-
-
 def one_angle() -> tuple[Track, Model]:
     track = replace(walk(15, classes=True, uneven=True, angle_kappa=3.0, dt=0.4), head_likelihood=None)
-    return without(track, "body_likelihood", [4, 5, 10]), each_frame("separate")
+    return without(track, "body_likelihood", [4, 5, 10]), Model("separate")
 
 
 def test_one_angle_agrees_with_a_grid() -> None:

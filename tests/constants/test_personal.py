@@ -94,18 +94,21 @@ def test_held_out_angles_are_judged_by_estimates_without_them(half: int) -> None
     assert found[0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_halves_share_every_angle_and_nothing_else_changes() -> None:
+def test_halves_share_every_angle_and_class_and_nothing_else_changes() -> None:
     classes = np.full((20, 8), np.nan)
     classes[::3, 2] = classes[::3, 3] = 0.5
     classes[::3] = np.nan_to_num(classes[::3])
     track = replace(walker(5, n=20), body=None, body_kappa=None, body_likelihood=classes)
     parts = [HeldOut([track], Parameters()).without(half)[0] for half in HALVES]
-    known = [np.isfinite(one.head) for one in (track, *parts)]
-    np.testing.assert_array_equal(known[0], known[1] ^ known[2])
-    assert abs(int(known[1].sum()) - int(known[2].sum())) <= 1
-    for one in parts:
-        np.testing.assert_array_equal(one.body_likelihood, classes)
-        np.testing.assert_array_equal(one.position, track.position)
+    for column in ("head", "body_likelihood"):
+        known = [np.isfinite(getattr(one, column).reshape(20, -1)[:, 0]) for one in (track, *parts)]
+        np.testing.assert_array_equal(known[0], known[1] ^ known[2])
+        assert abs(int(known[1].sum()) - int(known[2].sum())) <= 1
+    np.testing.assert_array_equal(parts[0].position, track.position)
+    persistent = replace(track, inputs={"body_persistence": np.ones(20)})
+    for half in HALVES:
+        kept = HeldOut([persistent], Parameters()).without(half)[0]
+        np.testing.assert_array_equal(kept.body_likelihood, classes)
 
 
 @pytest.mark.parametrize("online", [False, True])
@@ -116,7 +119,8 @@ def test_a_classifier_that_is_wrong_throughout_does_not_free_people_who_walk(onl
         track = walker(k, n=80, track_id=k, aside=np.pi / 2.0)
         nearest = np.round(np.nan_to_num(track.body) * 4.0 / np.pi).astype(int) % 8
         wrong = 0.9 * np.eye(8)[nearest] + 0.1 / 8.0
-        people.append(replace(track, head=None, body=None, body_kappa=None, body_likelihood=wrong))
+        classes = {"head": None, "body": None, "body_kappa": None, "body_likelihood": wrong}
+        people.append(replace(track, **classes, inputs={"body_persistence": np.ones(len(track))}))
     scene = gt.TrackSet(tuple(people))
     answered = gt.track_online(scene).tracks if online else gt.smooth(scene).tracks
     for one in answered:

@@ -19,7 +19,6 @@ from graphtrack.inference.chain.initialisation import pack, problem_of
 from graphtrack.inference.chain.newton import CONVERGED, workspace
 from graphtrack.kernels.layout import Chain
 from graphtrack.model import Model
-from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.simulation.crowd import StrollerParameters, full_turns_too_many, strollers
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.smoothing import solve
@@ -83,9 +82,7 @@ def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any) -> None:
         TrackSet((Track(1, track.frame, track.t, track.position, true_head=np.angle(np.exp(1j * turned))),)),
         rng=np.random.default_rng(1),
     )
-    # The answers are independent: each frame's counts.
-    model = Model("separate", Parameters(likelihood=LikelihoodParameters(class_correlation_time=0.0)))
-    found = track_online(people.tracks[0], model, engine=engine, lag=2.0)
+    found = track_online(people.tracks[0], "separate", engine=engine, lag=2.0)
     error = np.abs(difference(found.head, found.true_head))
     assert (error[:30] < np.pi / 2.0).mean() > 0.7 and (error[50:] < np.pi / 4.0).all()
 

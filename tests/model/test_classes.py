@@ -11,15 +11,20 @@ from walks import walk
 
 import graphtrack as gt
 from graphtrack.geometry.angles import difference
-from graphtrack.model.classes import class_evidence, seconds_since_classes
+from graphtrack.model.classes import class_evidence, class_weights, seconds_since_classes
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
 from graphtrack.tracks.track import Track
 
-UNKNOWN = np.full(1, np.nan)
 
-
-def evidence(classes: np.ndarray, seconds: float, **values: Any) -> np.ndarray:
-    found = class_evidence(classes, UNKNOWN, np.array([seconds]), 0.05, LikelihoodParameters(**values))
+def evidence(classes: np.ndarray, seconds: float, time: float = 1.0) -> np.ndarray:
+    """Those of a second row, so many seconds after a first one."""
+    both, t = np.concatenate([classes, classes]), np.array([0.0, seconds])
+    channel = np.full((2, 8), 1.0)
+    inputs = {"body_persistence": np.full(2, time)}
+    track = Track(1, np.arange(2), t, np.zeros((2, 2)), body_likelihood=channel, inputs=inputs)
+    likelihood = LikelihoodParameters()
+    weight = class_weights(track, "body", likelihood)
+    found = class_evidence(both, np.full(2, np.nan), weight, 0.05, likelihood)[1:]
     return np.asarray(found / found.sum())
 
 
@@ -34,14 +39,25 @@ def test_frames_within_the_correlation_time_count_together_as_one(shares: list[f
 
 def test_longer_apart_or_without_a_correlation_time_each_counts_in_full() -> None:
     classes = np.array([[0.7, 0.2, 0.1, 0.0]])
-    for seconds, time in ((1.0, 1.0), (9.0, 1.0), (0.04, 0.0), (np.nan, 1.0)):
-        np.testing.assert_allclose(evidence(classes, seconds, class_correlation_time=time), classes)
+    for seconds, time in ((1.0, 1.0), (9.0, 1.0), (0.04, 0.0), (0.001, 1.0)):
+        np.testing.assert_allclose(evidence(classes, seconds, time), classes)
+    assert evidence(classes, 0.04).max() < 0.4
+
+
+def test_a_negative_time_is_one_error() -> None:
+    track = replace(walk(3, classes=True), inputs={"head_persistence": np.array([1.0, -1.0, 1.0])})
+    with pytest.raises(gt.InputError, match=r"head_persistence' of -1 s"):
+        gt.smooth(track, "joint", constants="default")
 
 
 def test_scores_that_are_all_zero_and_missing_ones_stay() -> None:
     classes = np.array([[0.0] * 4, [np.nan] * 4, [1.0, 0.0, 0.0, 0.0]])
     found = class_evidence(classes, np.full(3, np.nan), np.full(3, 0.1), 0.0, LikelihoodParameters())
     assert not found[0].any() and np.isnan(found[1]).all() and (found[2] == [1.0, 0.0, 0.0, 0.0]).all()
+
+
+def persistent(preset: str, **values: Any) -> gt.Model:
+    return gt.Model(preset, Parameters(likelihood=LikelihoodParameters(class_correlation_time=1.0, **values)))
 
 
 def with_empty_rows(track: Track, more: int) -> Track:
@@ -68,7 +84,7 @@ def test_rows_without_an_observation_change_no_weight() -> None:
     for name in ("body", "head"):
         expected = seconds_since_classes(track, name)
         np.testing.assert_allclose(seconds_since_classes(dense, name)[::4], expected, atol=1e-9)
-    slim, full = (gt.smooth(one, "joint", constants="default") for one in (track, dense))
+    slim, full = (gt.smooth(one, persistent("joint"), constants="default") for one in (track, dense))
     assert np.abs(difference(slim.body, full.body[::4])).max() < np.radians(6.0)
 
 
@@ -76,12 +92,13 @@ def test_rows_without_an_observation_change_no_weight() -> None:
 def test_online_answers_know_the_likelihoods_before(engine: Any) -> None:
     """The last online answer is the smoother's, also after a saved state."""
     track = replace(walk(25, classes=True), body_kappa=None, head_kappa=None)
-    offline = gt.smooth(track, "joint", constants="default")
-    smoother = gt.OnlineSmoother("joint", constants="default", engine=engine, lag=30.0)
+    model = persistent("joint")
+    offline = gt.smooth(track, model, constants="default")
+    smoother = gt.OnlineSmoother(model, constants="default", engine=engine, lag=30.0)
     for k, one in enumerate(gt.observations(track)):
         if k == 12:
             smoother = gt.OnlineSmoother.from_state(
-                smoother.state(), "joint", constants="default", engine=engine, lag=30.0
+                smoother.state(), model, constants="default", engine=engine, lag=30.0
             )
         estimate = smoother.update(one)
     tolerance = 1e-3 if engine == "chain" else 0.1  # they end within a fraction of the deviation
@@ -104,7 +121,6 @@ def test_a_classifier_with_errors_that_persist_is_not_overconfident() -> None:
             centres = np.arange(8) * np.pi / 4.0
             classes = np.exp(2.05 * np.cos(centres - (0.3 + error)[:, None]))
             track = Track(1, np.arange(len(t)), t, np.zeros((len(t), 2)), body_likelihood=classes)
-            parameters = Parameters(likelihood=LikelihoodParameters(class_outlier_probability=0.0))
-            found = gt.smooth(track, gt.Model("separate", parameters))
+            found = gt.smooth(track, persistent("separate", class_outlier_probability=0.0))
             inside.append(np.abs(difference(found.body, 0.3)) < 1.96 * found.std("body"))
         assert np.mean(inside) > 0.85, hz

@@ -204,8 +204,8 @@ def steering(rate: float) -> Parameters:
 
 SHARP = likelihood(body_kappa=1e4, head_kappa=1e4, body_outliers=0.05, head_outliers=0.05)
 OUTLIERS = likelihood(body_outliers=0.1, head_outliers=0.1)
-EACH_FRAME = likelihood(class_correlation_time=0.0)
-NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0, class_correlation_time=0.0)
+PERSISTENT = likelihood(class_correlation_time=1.0)
+NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0)
 STEERED: dict[str, Any] = {"density": steered_density}
 MIXED_8: dict[str, Any] = {"channels": ("body_likelihood",)}
 MIXED_12: dict[str, Any] = {"channels": ("head_likelihood",)}
@@ -251,10 +251,10 @@ CASES = [
     Case("body angle, sharp, outliers", BodyLikelihood, SHARP, angle_density("body"), **SEEN_BODY),
     Case("body angle, sharp", BodyLikelihood, likelihood(body_kappa=1e4), **SEEN_BODY),
     Case("body angle without weight", BodyLikelihood, likelihood(body_kappa=0.0), **SEEN_BODY),
-    Case("8 body classes", BodyLikelihood, EACH_FRAME, density=class_density("body"), **MIXED_8),
-    Case("12 head classes", HeadLikelihood, EACH_FRAME, density=class_density("head"), **MIXED_12),
-    Case("8 body classes that persist", BodyLikelihood, **MIXED_8),
-    Case("12 head classes that persist", HeadLikelihood, **MIXED_12),
+    Case("8 body classes", BodyLikelihood, density=class_density("body"), **MIXED_8),
+    Case("12 head classes", HeadLikelihood, density=class_density("head"), **MIXED_12),
+    Case("8 body classes that persist", BodyLikelihood, PERSISTENT, **MIXED_8),
+    Case("12 head classes that persist", HeadLikelihood, PERSISTENT, **MIXED_12),
     Case("faces companions", FacesGroup),
     Case("holds still", OrientationPersistence),
     Case("holds still, firmly", OrientationPersistence, Parameters(social=SocialParameters(body_hold=100.0))),

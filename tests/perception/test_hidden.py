@@ -187,18 +187,18 @@ def test_a_hidden_share_is_an_outlier_share(share: float, gain: float, outliers:
     """Mixing twice with the uniform is mixing once, with 1 − (1 − ε)·(1 − g·h)."""
     classes = np.array([[0.7, 0.2, 0.05, 0.05]])
     likelihood = LikelihoodParameters(hidden_outliers=gain)
-    unknown = np.array([np.nan])
-    doubtful = class_evidence(classes, np.array([share]), unknown, outliers, likelihood)
+    unknown, once = np.array([np.nan]), np.ones(1)
+    doubtful = class_evidence(classes, np.array([share]), once, outliers, likelihood)
     total = 1.0 - (1.0 - outliers) * (1.0 - gain * share)
     np.testing.assert_allclose(
         (1.0 - outliers) * doubtful + outliers / 4.0, (1.0 - total) * classes + total / 4.0, atol=1e-12
     )
-    assert class_evidence(classes, unknown, unknown, outliers, likelihood) is classes
+    assert class_evidence(classes, unknown, once, outliers, likelihood) is classes
 
 
 def test_a_share_outside_of_0_to_1_is_one_error() -> None:
     with pytest.raises(gt.InputError, match=r"hidden share of 1\.3"):
-        class_evidence(np.ones((1, 8)), np.array([1.3]), np.array([np.nan]), 0.05, LikelihoodParameters())
+        class_evidence(np.ones((1, 8)), np.array([1.3]), np.ones(1), 0.05, LikelihoodParameters())
 
 
 @pytest.mark.slow

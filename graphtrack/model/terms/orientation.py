@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.layout import Field
-from graphtrack.model.classes import HIDDEN, class_evidence, seconds_since_classes
+from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.costs import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.kernel import Kernel, Orientation
@@ -252,8 +252,8 @@ class _PoseLikelihood(Term):
             return None
         likelihood = self.parameters.likelihood
         uniform = likelihood.outliers(self.name, by_class=True)
-        seconds = np.concatenate([seconds_since_classes(track, self.name) for track in packed.tracks])
-        classes = class_evidence(classes, packed.input(HIDDEN[self.name]), seconds, uniform, likelihood)
+        weight = np.concatenate([class_weights(track, self.name, likelihood) for track in packed.tracks])
+        classes = class_evidence(classes, packed.input(HIDDEN[self.name]), weight, uniform, likelihood)
         total = classes.sum(axis=1, keepdims=True)
         # Scores that are all zero are uninformative; an unobserved row stays NaN.
         share = np.divide(classes, total, out=0.0 * classes, where=total > 0.0)
