@@ -230,7 +230,8 @@ class OnlineSolver:
         These are the position, and the seconds since class likelihoods. InputError as `update`.
         """
         placed = on_the_ground(checked(observation), self.camera)
-        return since_classes(placed, self._smoother.steps)
+        time = self.model.parameters.likelihood.class_correlation_time
+        return since_classes(placed, self._smoother.steps, time)
 
     @staticmethod
     def update_together(

@@ -14,7 +14,7 @@ import numpy as np
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.classes import SINCE, TOGETHER, with_seconds_since_classes
+from graphtrack.model.classes import PERSISTENCE, SINCE, TOGETHER, with_seconds_since_classes
 from graphtrack.packages import gtsam
 from graphtrack.tracks.sensors import Sensor, changed_channels
 from graphtrack.tracks.track import Track
@@ -260,12 +260,16 @@ def chain(track: Track, camera: GroundCamera | None = None, first: int = 0) -> l
     return steps
 
 
-def since_classes(observation: Observation, steps: Sequence[Step]) -> Observation:
-    """Return an observation with the seconds since class likelihoods of earlier steps, as inputs `SINCE`."""
+def since_classes(observation: Observation, steps: Sequence[Step], time: float) -> Observation:
+    """Return an observation with the seconds since class likelihoods of earlier steps, as inputs `SINCE`.
+
+    Of those whose errors persist: as declared, or ``time`` seconds.
+    """
     found: dict[str, float | tuple[float, ...]] = {}
     for name, column in SINCE.items():
         channel = f"{name}_likelihood"
-        if getattr(observation, channel) is None or column in observation.inputs:
+        persists = observation.inputs.get(PERSISTENCE[name], time) != 0.0
+        if not persists or getattr(observation, channel) is None or column in observation.inputs:
             continue
         for step in reversed(steps):
             before = step.observation
