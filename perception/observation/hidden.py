@@ -123,8 +123,10 @@ def _foot_row(levels: FloatArray) -> float | None:
 def cut_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[int, int]) -> FloatArray:
     """Return the shares (n,) of boxes, in pixels, beyond the border of an image of columns and rows."""
     box = np.asarray(boxes, float).reshape(-1, 4)
-    low, high = np.maximum(box[:, :2], 0.0), np.minimum(box[:, :2] + box[:, 2:], size)
-    return np.asarray(1.0 - np.maximum(high - low, 0.0).prod(axis=1) / box[:, 2:].prod(axis=1), float)
+    first, last = box[:, :2], box[:, :2] + box[:, 2:]
+    inside = np.maximum(np.minimum(last, size) - np.maximum(first, 0.0), 0.0)
+    is_whole = ((first >= 0.0) & (last <= size)).all(axis=1)
+    return np.where(is_whole, 0.0, 1.0 - inside.prod(axis=1) / box[:, 2:].prod(axis=1))
 
 
 def hidden_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[int, int]) -> FloatArray:

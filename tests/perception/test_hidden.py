@@ -103,6 +103,8 @@ def test_whole_people_keep_their_box() -> None:
         assert full_box(box, np.zeros((17, 3)), SIZE) is None
         np.testing.assert_array_equal(cut_shares([box], SIZE), 0.0)
     assert cut_shares([], SIZE).shape == (0,)
+    within = np.random.default_rng(0).uniform(0.01, 0.4, (200, 4)) * [*SIZE, *SIZE]
+    assert not cut_shares(within, SIZE).any()
 
 
 @pytest.mark.parametrize("width", [130.0, 180.0])
