@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.model import Model
-from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
+from graphtrack.model.terms.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.terms.couplings import (
     BODY_FREE,
     HEAD_FREE,

@@ -45,12 +45,12 @@ from graphtrack.inference.online import OnlineSolver, Snapshot
 from graphtrack.inference.state import Estimate, Status, pack_observation, unpack_observation
 from graphtrack.kernels.compilation import make_ready
 from graphtrack.model import Model, Observation
-from graphtrack.model.classes import persistence
 from graphtrack.model.given import observed_direction
 from graphtrack.model.observation import OwnParameters
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.same_time import APART, MOVED, SAME_TIME, merged, news
 from graphtrack.model.term import one_row
+from graphtrack.model.terms.classes import persistence
 from graphtrack.saved import DAMAGES, damaged, integer, packed, real, unpacked
 from graphtrack.tracks.display import html_pairs
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, log_blurred, with_outliers
 from graphtrack.kernels.layout import BODY, HEAD
-from graphtrack.model.classes import PERSISTENCE, persistence
 from graphtrack.model.given import observed_direction
 from graphtrack.model.parameters import Parameters
+from graphtrack.model.terms.classes import PERSISTENCE, persistence
 from graphtrack.tracks.track import Track
 
 HALVES = (0, 1)

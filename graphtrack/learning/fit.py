@@ -23,10 +23,10 @@ from graphtrack.inference.engines import make_solver_ready
 from graphtrack.inference.offline import engine_of
 from graphtrack.kernels.layout import BODY, HEAD
 from graphtrack.model import Model
-from graphtrack.model.classes import HIDDEN
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.parameters import range_of, scale_of
 from graphtrack.model.same_time import with_merged_rows
+from graphtrack.model.terms.classes import HIDDEN
 from graphtrack.tracks.given import with_position_noise
 from graphtrack.tracks.track import Track
 from graphtrack.tracks.validation import check_within

@@ -16,10 +16,10 @@ from graphtrack.geometry.angles import (
     vectors_of,
 )
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.model import Model
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
+from graphtrack.model.terms.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.tracks.given import AXES, unused_note, with_position_noise
 from graphtrack.tracks.schema import COLUMNS
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track, channel_of

@@ -14,7 +14,7 @@ import numpy as np
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.classes import PERSISTENCE, SINCE, TOGETHER, with_seconds_since_classes
+from graphtrack.model.terms.classes import PERSISTENCE, SINCE, TOGETHER, with_seconds_since_classes
 from graphtrack.packages import gtsam
 from graphtrack.tracks.sensors import Sensor, changed_channels
 from graphtrack.tracks.track import Track

@@ -125,8 +125,8 @@ def cut_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[i
     box = np.asarray(boxes, float).reshape(-1, 4)
     first, last = box[:, :2], box[:, :2] + box[:, 2:]
     inside = np.maximum(np.minimum(last, size) - np.maximum(first, 0.0), 0.0)
-    is_whole = ((first >= 0.0) & (last <= size)).all(axis=1)
-    return np.where(is_whole, 0.0, 1.0 - inside.prod(axis=1) / box[:, 2:].prod(axis=1))
+    fits = ((first >= 0.0) & (last <= size)).all(axis=1)
+    return np.where(fits, 0.0, 1.0 - inside.prod(axis=1) / box[:, 2:].prod(axis=1))
 
 
 def hidden_shares(boxes: Sequence[tuple[float, float, float, float]], size: tuple[int, int]) -> FloatArray:

@@ -14,7 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
-from graphtrack.model.classes import HIDDEN, PERSISTENCE
+from graphtrack.model.terms.classes import HIDDEN, PERSISTENCE
 from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES
 from graphtrack.tracks.validation import APPEARANCE

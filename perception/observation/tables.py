@@ -19,7 +19,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.engines import Solution
 from graphtrack.inference.offline import engine_of
 from graphtrack.model import Model
-from graphtrack.model.classes import HIDDEN, PERSISTENCE
+from graphtrack.model.terms.classes import HIDDEN, PERSISTENCE
 from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks

@@ -11,8 +11,8 @@ from walks import walk
 
 import graphtrack as gt
 from graphtrack.geometry.angles import difference
-from graphtrack.model.classes import class_evidence, class_weights, seconds_since_classes
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
+from graphtrack.model.terms.classes import class_evidence, class_weights, seconds_since_classes
 from graphtrack.tracks.track import Track
 
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import graphtrack as gt
-from graphtrack.model.classes import class_evidence
 from graphtrack.model.parameters import LikelihoodParameters, Parameters
+from graphtrack.model.terms.classes import class_evidence
 from graphtrack.simulation.degrade import add_class_likelihoods
 from graphtrack.simulation.sampling import simulate
 from perception.detection.boxes import PersonBox

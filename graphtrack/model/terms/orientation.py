@@ -17,7 +17,6 @@ from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
 from graphtrack.kernels.layout import Field
-from graphtrack.model.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.model.costs import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
 from graphtrack.model.kernel import Kernel, Orientation
@@ -25,6 +24,7 @@ from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks, of_alike
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.term import Term, Variable
+from graphtrack.model.terms.classes import HIDDEN, class_evidence, class_weights
 from graphtrack.packages import gtsam, special, sympy
 from graphtrack.tracks.track import BODY_CLASSES, HEAD_CLASSES, Track
 
