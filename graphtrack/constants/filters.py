@@ -104,15 +104,10 @@ def position_variance(track: Track, parameters: Parameters, camera: GroundCamera
     likelihood = parameters.likelihood
     variance = likelihood.position_stds(track.axis_std, len(track)) ** 2
     if camera is not None and track.pixel is not None and is_in_image(track, parameters, camera):
-        of_pixels = pixel_variance(track.pixel, parameters, camera)
-        variance = np.where(np.isfinite(of_pixels), of_pixels, variance)
+        squares = np.square(camera.ground_jacobian(track.pixel)).sum(axis=(1, 2))
+        in_image = np.isfinite(squares)
+        variance[in_image] = 0.5 * likelihood.pixel_std**2 * squares[in_image]
     return variance
-
-
-def pixel_variance(pixel: FloatArray, parameters: Parameters, camera: GroundCamera) -> FloatArray:
-    """Return the variances (n,) on the ground of positions in the image, m², the mean of both axes."""
-    squares = np.square(camera.ground_jacobian(pixel)).sum(axis=(1, 2))
-    return np.asarray(0.5 * parameters.likelihood.pixel_std**2 * squares)
 
 
 def turning_evidence(

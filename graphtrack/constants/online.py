@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, observe, pixel_variance
+from graphtrack.constants.filters import ONLINE_REHEARSAL, FilterRules, Filters, observe, position_variance
 from graphtrack.constants.personal import (
     Constants,
     alternatives_of,
@@ -128,11 +128,12 @@ class Learner:
         """Learn from an observation that is later than those before."""
         t, likelihood = observation.t, self._parameters.likelihood
         x, y = (math.nan, math.nan) if observation.position is None else observation.position
-        std = observation.axis_std
-        std = likelihood.position_std if std is None else likelihood.position_scale * std
-        variance = std * std
-        if observation.pixel is not None and self._camera is not None and likelihood.image_frame:
-            variance = pixel_variance(np.array([observation.pixel]), self._parameters, self._camera).item()
+        if observation.pixel is None:
+            std = observation.axis_std
+            std = likelihood.position_std if std is None else likelihood.position_scale * std
+            variance = std * std
+        else:
+            variance = position_variance(one_row(observation), self._parameters, self._camera).item()
         row = [0.0 if math.isnan(self._t) else t - self._t, x, y, variance]
         row += _direction_of(observation, "body", self._parameters)
         row += _direction_of(observation, "head", self._parameters)

@@ -81,4 +81,5 @@ LINKS, OWN, BOTH = range(3)
 """Terms between a frame and the previous one, of the frame alone, or both."""
 
 VariableName = Literal["position", "velocity", "body", "head"]
+Orientation = Literal["body", "head"]
 Function = Callable[..., Any]

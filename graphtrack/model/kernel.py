@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.kernels.layout import Function, VariableName
+from graphtrack.kernels.layout import Function, Orientation, VariableName
 from graphtrack.model import program
 from graphtrack.model.costs import VARIABLES, CostFunction
 from graphtrack.model.derivation import Derived, derived
 from graphtrack.model.packing import PackedTracks
-from graphtrack.model.terms.classes import Orientation
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ ORDINARY_TILT = math.radians(20.0)
 _UPRIGHT = 1.3
 """Height of the median box over its width from which people are seen from the side."""
 
-
 FREE = 0.8
 """The input ``body_free`` of rows in an assumed view, where directions of motion are approximate.
 
@@ -53,11 +52,12 @@ class ViewScale:
 
     @staticmethod
     def is_assumed(ground: object) -> bool:
-        """Return whether a ground is such a view, with an assumed tilt."""
+        """Return whether a ground is such a view, with an assumed tilt; a plane that was measured is none."""
         if not (isinstance(ground, GroundCamera) and ground.is_scale):
             return False
-        across, deep = np.abs(np.diag(ground.homography))[:2].tolist()
-        return not math.isclose(across, deep)
+        across, deep, _ = np.abs(np.diag(ground.homography)).tolist()
+        is_plain = np.array_equal(ground.homography, np.diag(np.diag(ground.homography)))
+        return is_plain and not math.isclose(across, deep)
 
     def described(self) -> str:
         """Describe the assumed view."""

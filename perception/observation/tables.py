@@ -5,9 +5,8 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,13 @@ from graphtrack.association.associate import associate
 from graphtrack.errors import InputError
 from graphtrack.evaluation.compare import make_method, own_model
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.engines import Solution
+from graphtrack.inference.engines import OnlineEngine, Solution
 from graphtrack.inference.offline import engine_of
 from graphtrack.model import Model
-from graphtrack.model.terms.classes import HIDDEN, PERSISTENCE
-from graphtrack.model.terms.couplings import BODY_FREE
 from graphtrack.report.methods import methods_lines, methods_text, with_references
 from graphtrack.smoothing import solve_tracks
 from graphtrack.tracking import track_online
 from graphtrack.tracks.track import ReadSummary, Track, TrackSet, to_columns
-from graphtrack.tracks.validation import APPEARANCE
 from perception.detection.boxes import PersonBox
 from perception.ground.scale import ViewScale
 from perception.ground.views import Ground
@@ -176,14 +172,12 @@ def _channels(
 
 
 def _track(track_id: int, known: Mapping[str, NDArray[Any]]) -> Track:
-    fields: dict[str, Any] = dict(known)
-    inputs = {
-        name: fields.pop(name)
-        for name in (APPEARANCE, *HIDDEN.values(), CUT, *PERSISTENCE.values(), BODY_FREE)
-        if name in fields
-    }
-    score = fields.pop("score")
-    return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **fields)
+    """Return the track of channels by name; those that a track does not have are its inputs."""
+    own = {one.name for one in fields(Track)}
+    channels: dict[str, Any] = {name: value for name, value in known.items() if name in own}
+    inputs = {name: value for name, value in known.items() if name not in own}
+    score = channels.pop("score")
+    return Track(track_id, score=score if np.isfinite(score).any() else None, inputs=inputs, **channels)
 
 
 def _some_at_once(frames: Mapping[int, FrameObservation]) -> Iterator[list[PersonObservation]]:
@@ -433,9 +427,12 @@ def estimated(
     else:
         good, bad = [], []
         for track in placed:
-            # The errors of boxes persist, and to a filter they look like motion: constants are not learned.
-            online = partial(track_online, track, model, lag=2.0, camera=camera, constants="default")
-            good.append(chosen.run(track, camera) if method in FILTERS else online(engine=method))
+            if method in FILTERS:
+                good.append(chosen.run(track, camera))
+            else:
+                # Errors of boxes persist, and to a filter they look like motion: constants are not learned.
+                engine = cast(OnlineEngine, method)
+                good.append(track_online(track, model, engine=engine, camera=camera, constants="default"))
             advance(len(track))
     if not good:
         raise InputError("no track that can be estimated", "people who are observed for longer")
@@ -443,8 +440,8 @@ def estimated(
         words = with_references(f"Tracks were estimated by {_FILTERED[method]}.")
     else:
         offline = method == "smoother"
-        engine = engine_of(model) if offline else "online" if method == "chain" else method
+        named = engine_of(model) if offline else "online" if method == "chain" else method
         constants = "learned" if offline else "the defaults"
-        words = methods_text(model, engine, constants=constants, summary=tracks.summary, failed=len(bad))
+        words = methods_text(model, named, constants=constants, summary=tracks.summary, failed=len(bad))
     notes = [f"estimates by `{method}`: {chosen.information}", *lines]
     return Estimated(placed.with_tracks(good), notes, methods_lines(*words))

@@ -10,10 +10,10 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.kernels.layout import Orientation
 from graphtrack.model import Model, Step
 from graphtrack.model.factors import unit_noise
 from graphtrack.model.given import covariances_of, observed_direction, velocity_covariances_of
-from graphtrack.model.kernel import Orientation
 from graphtrack.model.terms.orientation import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood, robust_noise
 from graphtrack.packages import gtsam

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.kernels.layout import Orientation
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.tracks.track import Track
-
-Orientation = Literal["body", "head"]
 
 HIDDEN: Mapping[Orientation, str] = {"body": "body_hidden", "head": "head_hidden"}
 """Orientation → the input with the share of its picture that is hidden in each frame, 0…1; NaN: none."""

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.kernels.layout import Field
+from graphtrack.kernels.layout import Field, Orientation
 from graphtrack.model.costs import Cost, chord
-from graphtrack.model.kernel import Kernel, Orientation
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Observation
 from graphtrack.model.packing import PackedTracks
 from graphtrack.model.term import Term, Variable

@@ -16,10 +16,10 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.kernels.compilation import compiled
-from graphtrack.kernels.layout import Field
+from graphtrack.kernels.layout import Field, Orientation
 from graphtrack.model.costs import Cost, CostFunction, chord
 from graphtrack.model.factors import von_mises_between, von_mises_prior
-from graphtrack.model.kernel import Kernel, Orientation
+from graphtrack.model.kernel import Kernel
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.packing import PackedTracks, of_alike
 from graphtrack.model.parameters import Parameters
